@@ -14,7 +14,7 @@ pub mod rigid_body;
 pub mod serial;
 
 pub use delta::Delta;
-pub use rigid_body::{Evaluation, Motion, Parameter, RigidBody, Tip, TipMotion, Unreachable, build};
+pub use rigid_body::{Evaluation, Motion, Parameter, RigidBody, Tip, TipMotion, Unreachable, build, parameters_of};
 pub use serial::SerialChain;
 
 /// Vector in space.

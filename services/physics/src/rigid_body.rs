@@ -1,6 +1,7 @@
 //! The one interface to a robot's rigid-body mechanics, and how it is made from a robot file.
 
-use crate::{Delta, SerialChain};
+use crate::{Delta, SerialChain, delta};
+use lacuna_interfaces::model::RigidBodyModel;
 use lacuna_interfaces::robot::Kind;
 use lacuna_interfaces::{BadInput, Joints, RobotFile};
 use thiserror::Error;
@@ -219,6 +220,50 @@ pub fn build(robot: &RobotFile, urdf: Option<&str>) -> Result<Box<dyn RigidBody>
         Kind::Delta => Box::new(Delta::new(robot)?),
         Kind::Serial => Box::new(SerialChain::new(robot, urdf)?),
     })
+}
+
+/// π as a model file's `[rigid_body]` has it: ρ1 and ρ2 of a Delta's grey box, or values by symbol; what the
+/// model does not give keeps the robot file's value.
+///
+/// # Errors
+/// [`BadInput`] for ρ1 or ρ2 of a robot that is not a Delta, for both ways at once, for a value that is not
+/// finite and for an unknown symbol, with the symbols that exist.
+pub fn parameters_of(body: &dyn RigidBody, model: &RigidBodyModel) -> Result<Vec<f64>, BadInput> {
+    let mut pi = body.nominal();
+    if model.rho1.is_some() || model.rho2.is_some() {
+        if !model.parameters.is_empty() {
+            return Err(BadInput::new("rigid_body: found rho1 or rho2 together with parameters; expected one way"));
+        }
+        let (rho1, rho2) = (model.rho1.unwrap_or(1.0), model.rho2.unwrap_or(1.0));
+        finite_value("rho1", rho1)?;
+        finite_value("rho2", rho2)?;
+        let nominal: Option<&[f64; delta::PARAMETERS]> = pi.as_slice().try_into().ok();
+        let (Some(_), Some(nominal)) = (body.as_delta(), nominal) else {
+            return Err(BadInput::new(
+                "rigid_body: found rho1 or rho2, which a Delta has; expected parameters by symbol",
+            ));
+        };
+        return Ok(delta::grey_box(nominal, rho1, rho2).to_vec());
+    }
+    for (symbol, &value) in &model.parameters {
+        finite_value(symbol, value)?;
+        let Some(slot) = body.parameters().iter().position(|p| &p.symbol == symbol) else {
+            let known: Vec<&str> = body.parameters().iter().map(|p| p.symbol.as_str()).collect();
+            return Err(BadInput::new(format!(
+                "rigid_body.parameters: found \"{symbol}\"; expected symbols among {}",
+                known.join(", ")
+            )));
+        };
+        pi[slot] = value;
+    }
+    Ok(pi)
+}
+
+fn finite_value(symbol: &str, value: f64) -> Result<(), BadInput> {
+    if value.is_finite() {
+        return Ok(());
+    }
+    Err(BadInput::new(format!("rigid_body: {symbol} = {value}; expected a finite number")))
 }
 
 /// Refuses a slice of the wrong length.

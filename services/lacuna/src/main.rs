@@ -1,1 +1,50 @@
-fn main() {}
+//! `lacuna`: the command line.
+
+mod graph;
+mod runs;
+mod supervise;
+
+use clap::{Parser, Subcommand};
+use lacuna_stage::Failure;
+use std::process::ExitCode;
+
+/// Finds the physics that a robot's model leaves out, and runs the process graph that shows it.
+///
+/// Exit codes: 0 done, 1 failed, 2 bad input or use, 3 finished but samples were lost.
+#[derive(Parser)]
+#[command(version, max_term_width = 100)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Start a process graph and stay until it ends.
+    Up(graph::UpArgs),
+    /// Stop a running graph in order: the source first, then everything behind it.
+    Down(runs::RunArgs),
+    /// Show the runs of this user, or one of them.
+    Status(runs::StatusArgs),
+    /// Print the logs of a run.
+    Logs(runs::LogsArgs),
+}
+
+fn main() -> ExitCode {
+    let result = match Cli::parse().command {
+        Command::Up(args) => graph::up(args),
+        Command::Down(args) => runs::down(&args),
+        Command::Status(args) => runs::status(&args),
+        Command::Logs(args) => runs::logs(&args),
+    };
+    match result {
+        Ok(code) => code,
+        Err(failure) => {
+            eprintln!("lacuna: {failure}");
+            ExitCode::from(failure.code())
+        }
+    }
+}
+
+/// Result of a command.
+type CommandResult = Result<ExitCode, Failure>;

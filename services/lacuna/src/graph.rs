@@ -1,0 +1,117 @@
+//! `lacuna up`: from a graph file to running processes and a summary.
+
+use crate::CommandResult;
+use crate::runs;
+use crate::supervise::{RunReport, Supervisor};
+use clap::Args;
+use lacuna_interfaces::graph::{GraphFile, Mode};
+use lacuna_stage::Failure;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+#[derive(Args)]
+pub struct UpArgs {
+    /// Graph file, e.g. launch/replay.toml.
+    graph: PathBuf,
+    /// Set a key of the graph's [set] table.
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Start these nodes only (comma-separated).
+    #[arg(long, value_delimiter = ',', value_name = "NODE")]
+    only: Vec<String>,
+    /// Show what would be started, and start nothing.
+    #[arg(long)]
+    dry_run: bool,
+    /// Print the run's report as JSON on standard output.
+    #[arg(long)]
+    json: bool,
+    /// No progress bar and no summary.
+    #[arg(long, short)]
+    quiet: bool,
+}
+
+/// Reads and resolves a graph file.
+fn load(args: &UpArgs) -> Result<GraphFile, Failure> {
+    let mut overrides = Vec::new();
+    for pair in &args.set {
+        let (key, value) =
+            pair.split_once('=').ok_or_else(|| Failure::usage(format!("--set {pair}: expected KEY=VALUE")))?;
+        overrides.push((key.trim().to_owned(), value.to_owned()));
+    }
+    let text = std::fs::read_to_string(&args.graph)
+        .map_err(|e| Failure::usage(format!("{}: cannot read: {e}", args.graph.display())))?;
+    let graph = GraphFile::parse(&text).and_then(|g| g.resolve(&overrides)).map_err(|e| e.in_file(&args.graph))?;
+    if args.only.is_empty() { Ok(graph) } else { Ok(graph.only(&args.only).map_err(|e| e.in_file(&args.graph))?) }
+}
+
+/// Where an executable is: a path as it is, a bare name beside this executable, else on PATH.
+fn locate(exec: &str) -> Result<PathBuf, Failure> {
+    let path = Path::new(exec);
+    if exec.contains('/') {
+        return if path.is_file() { Ok(path.to_path_buf()) } else { Err(Failure::usage(format!("{exec}: no such executable"))) };
+    }
+    let beside = std::env::current_exe().ok().and_then(|p| Some(p.parent()?.join(exec)));
+    let on_path = std::env::var_os("PATH")
+        .map(|p| std::env::split_paths(&p).map(|dir| dir.join(exec)).collect::<Vec<_>>())
+        .unwrap_or_default();
+    beside.into_iter().chain(on_path).find(|p| p.is_file()).ok_or_else(|| {
+        Failure::usage(format!("{exec}: no such executable beside lacuna or on PATH; build the whole workspace first"))
+    })
+}
+
+/// `lacuna up`.
+pub fn up(args: UpArgs) -> CommandResult {
+    let graph = load(&args)?;
+    let robot = lacuna_recording::load_robot(Path::new(&graph.robot))?;
+    if !graph.model.is_empty() {
+        lacuna_recording::load_model(Path::new(&graph.model), &robot.file)?;
+    }
+    let executables = graph.nodes.iter().map(|n| locate(&n.exec)).collect::<Result<Vec<_>, _>>()?;
+    if args.dry_run {
+        print_plan(&graph, &executables);
+        return Ok(ExitCode::SUCCESS);
+    }
+    let dir = runs::create(&graph.name)?;
+    let report = Supervisor::start(&args.graph, &graph, &executables, &dir, !args.quiet && !args.json)?.run()?;
+    if args.json {
+        let text = serde_json::to_string_pretty(&report).map_err(|e| Failure::run(e.to_string()))?;
+        println!("{text}");
+    } else if !args.quiet {
+        print_summary(&graph, &report);
+    }
+    Ok(if report.lost > 0 { ExitCode::from(3) } else { ExitCode::SUCCESS })
+}
+
+fn print_plan(graph: &GraphFile, executables: &[PathBuf]) {
+    let mut out = std::io::stdout().lock();
+    let mode = if graph.mode == Mode::Replay { "replay, lossless" } else { "live, drops are counted" };
+    let _ = writeln!(out, "graph {} ({mode}, buffer {})", graph.name, graph.buffer);
+    let _ = writeln!(out, "robot {}", graph.robot);
+    let _ = writeln!(out, "model {}", if graph.model.is_empty() { "none" } else { &graph.model });
+    for (node, exec) in graph.nodes.iter().zip(executables) {
+        let inputs = if node.inputs.is_empty() { "-".to_owned() } else { node.inputs.join(" + ") };
+        let _ = writeln!(out, "  {:<12} {inputs} → {}   {}", node.name, node.output.as_deref().unwrap_or("-"), exec.display());
+    }
+}
+
+fn print_summary(graph: &GraphFile, report: &RunReport) {
+    let mut out = std::io::stdout().lock();
+    let rate = report.samples as f64 / report.seconds.max(1e-9);
+    let _ = writeln!(out, "{}: {} samples in {:.2} s ({:.0} samples/s)", graph.name, report.samples, report.seconds, rate);
+    for (name, node) in &report.nodes {
+        for l in &node.latency {
+            let _ = writeln!(
+                out,
+                "  {name}: {:<11} p50 {:>9.1} µs  p99 {:>9.1} µs  p99.9 {:>9.1} µs  max {:>9.1} µs",
+                l.hop, l.p50_us, l.p99_us, l.p999_us, l.max_us
+            );
+        }
+        if let Some(path) = node.details.get("path").and_then(|p| p.as_str()) {
+            let _ = writeln!(out, "  {name}: wrote {path}");
+        }
+    }
+    if report.lost > 0 {
+        let _ = writeln!(out, "  {} samples were LOST on the way; see the node counts with --json", report.lost);
+    }
+}

@@ -1,0 +1,80 @@
+//! What a stage process tells its supervisor: one JSON object a line on standard output.
+//!
+//! Any executable that prints these lines and speaks the messages of its edges can stand in a graph.
+
+use serde::{Deserialize, Serialize};
+use std::io::Write;
+
+/// Latency percentiles of one hop [µs].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct HopLatency {
+    /// `source→1`, `1→2`, …, `end to end`: publish of the earlier hop to publish (or reception) of the later.
+    pub hop: String,
+    /// Median.
+    pub p50_us: f64,
+    /// 99th percentile.
+    pub p99_us: f64,
+    /// 99.9th percentile.
+    pub p999_us: f64,
+    /// Largest.
+    pub max_us: f64,
+    /// Samples counted.
+    pub count: u64,
+}
+
+/// Counts of one stage process, final in [`Event::Done`].
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct StageReport {
+    /// Samples taken from each input, by topic.
+    pub received: std::collections::BTreeMap<String, u64>,
+    /// Samples published.
+    pub published: u64,
+    /// Deliveries that a live reader could not take (counted by the writer).
+    pub dropped: u64,
+    /// Samples missing in the input sequences (counted by the reader).
+    pub missing: u64,
+    /// Latency per hop, from processes that end a chain.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub latency: Vec<HopLatency>,
+    /// Whatever the stage itself reports (repairs of a reader, messages of a recorder).
+    #[serde(skip_serializing_if = "serde_json::Value::is_null")]
+    pub details: serde_json::Value,
+}
+
+/// A line on standard output.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum Event {
+    /// Configuration accepted, ports open.
+    Ready,
+    /// About twice a second.
+    Progress {
+        /// Samples handled so far.
+        samples: u64,
+        /// Share of the input that is done, where the stage knows it.
+        fraction: Option<f64>,
+    },
+    /// The stream ended and everything was passed on.
+    Done {
+        /// Final counts.
+        report: StageReport,
+    },
+    /// The stage cannot go on.
+    Failed {
+        /// One line: place, what was found, what was expected.
+        reason: String,
+        /// Exit code that belongs to it: 2 for bad input or use, else 1.
+        code: u8,
+    },
+}
+
+impl Event {
+    /// Prints the event. A closed standard output (no supervisor left) is not an error of the stage.
+    pub fn emit(&self) {
+        if let Ok(line) = serde_json::to_string(self) {
+            let mut out = std::io::stdout().lock();
+            let _ = writeln!(out, "{line}").and_then(|()| out.flush());
+        }
+    }
+}

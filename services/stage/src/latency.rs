@@ -1,0 +1,52 @@
+//! Latency per hop, from the stamps in the header.
+
+use crate::control::HopLatency;
+use hdrhistogram::Histogram;
+use lacuna_interfaces::Header;
+use lacuna_interfaces::wire::MAX_HOPS;
+
+/// Histograms of every hop and of the whole way. 1 ns to 100 s at three digits; values beyond are clamped.
+pub struct LatencyMeter {
+    hops: Vec<Histogram<u64>>,
+    total: Histogram<u64>,
+}
+
+const HIGHEST_NS: u64 = 100_000_000_000;
+
+impl LatencyMeter {
+    /// Allocates all histograms; recording does not allocate.
+    pub fn new() -> Self {
+        let histogram = || Histogram::new_with_bounds(1, HIGHEST_NS, 3).expect("constant, valid bounds");
+        Self { hops: (0..MAX_HOPS).map(|_| histogram()).collect(), total: histogram() }
+    }
+
+    /// Records a sample that arrived at `now_ns`.
+    pub fn record(&mut self, header: &Header, now_ns: u64) {
+        let n = (header.hops as usize).min(MAX_HOPS);
+        for i in 0..n {
+            let next = if i + 1 < n { header.hop_ns[i + 1] } else { now_ns };
+            self.hops[i].saturating_record(next.saturating_sub(header.hop_ns[i]).max(1));
+        }
+        if n > 0 {
+            self.total.saturating_record(now_ns.saturating_sub(header.hop_ns[0]).max(1));
+        }
+    }
+
+    /// Percentiles of every hop that was seen, then end to end.
+    pub fn report(&self) -> Vec<HopLatency> {
+        let last = self.hops.iter().rposition(|h| !h.is_empty());
+        let summary = |hop: String, h: &Histogram<u64>| HopLatency {
+            hop,
+            p50_us: h.value_at_quantile(0.5) as f64 / 1e3,
+            p99_us: h.value_at_quantile(0.99) as f64 / 1e3,
+            p999_us: h.value_at_quantile(0.999) as f64 / 1e3,
+            max_us: h.max() as f64 / 1e3,
+            count: h.len(),
+        };
+        let Some(last) = last else { return Vec::new() };
+        let name = |i: usize| if i == last { format!("{i}→here") } else { format!("{i}→{}", i + 1) };
+        let mut all: Vec<HopLatency> = (0..=last).map(|i| summary(name(i), &self.hops[i])).collect();
+        all.push(summary("end to end".to_owned(), &self.total));
+        all
+    }
+}

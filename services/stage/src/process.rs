@@ -1,0 +1,209 @@
+//! What every process of a graph does the same way: arguments, signals, the files it is given, how it ends.
+
+use crate::control::Event;
+use crate::domain::{Domain, RunDir};
+use clap::Parser;
+use lacuna_interfaces::graph::{GraphFile, Node};
+use lacuna_interfaces::{BadInput, ModelFile};
+use lacuna_recording::LoadedRobot;
+use std::io::BufRead;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Why a process or a run ends early.
+#[derive(Debug, Clone, thiserror::Error)]
+pub enum Failure {
+    /// Bad input or use: exit code 2.
+    #[error("{0}")]
+    Usage(String),
+    /// Anything else: exit code 1.
+    #[error("{0}")]
+    Run(String),
+    /// It was asked to stop.
+    #[error("stopped on request")]
+    Stopped,
+}
+
+impl Failure {
+    /// Bad input or use.
+    pub fn usage(what: impl Into<String>) -> Self {
+        Self::Usage(what.into())
+    }
+
+    /// A failure while running.
+    pub fn run(what: impl Into<String>) -> Self {
+        Self::Run(what.into())
+    }
+
+    /// Exit code that belongs to it.
+    pub fn code(&self) -> u8 {
+        match self {
+            Self::Usage(_) => 2,
+            Self::Run(_) | Self::Stopped => 1,
+        }
+    }
+}
+
+impl From<BadInput> for Failure {
+    fn from(e: BadInput) -> Self {
+        Self::Usage(e.to_string())
+    }
+}
+
+/// Stop request: SIGTERM, SIGINT, or the supervisor's end of the standard input closed.
+#[derive(Debug, Clone, Default)]
+pub struct Stop(Arc<AtomicBool>);
+
+impl Stop {
+    /// True once a stop was asked for.
+    pub fn requested(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    /// Forgets the request: a source that was stopped still has to pass the end of the stream on.
+    pub(crate) fn clear(&self) {
+        self.0.store(false, Ordering::Relaxed);
+    }
+}
+
+/// A process of a Lacuna graph; started by `lacuna up`.
+#[derive(Debug, Parser)]
+#[command(version, about = "A stage process of a Lacuna graph; started by `lacuna up`, not by hand.")]
+struct Args {
+    /// Run directory with the resolved graph.
+    #[arg(long)]
+    run: PathBuf,
+    /// Name of this node in the graph.
+    #[arg(long)]
+    node: String,
+    /// How often this node has been restarted before.
+    #[arg(long, default_value_t = 0)]
+    restarts: u32,
+    /// Start at once instead of waiting for the supervisor's "go" on standard input.
+    #[arg(long)]
+    unsupervised: bool,
+}
+
+/// Everything a process is given.
+pub(crate) struct Process {
+    pub graph: GraphFile,
+    pub node: Node,
+    pub restarts: u32,
+    pub robot: LoadedRobot,
+    pub model: Option<ModelFile>,
+    pub model_text: Option<String>,
+    pub run: RunDir,
+    pub stop: Stop,
+    go: Stop,
+}
+
+impl Process {
+    fn start() -> Result<Self, Failure> {
+        let args = Args::parse();
+        let run = RunDir::open(&args.run);
+        let graph = run.graph()?;
+        let node = graph
+            .nodes
+            .iter()
+            .find(|n| n.name == args.node)
+            .cloned()
+            .ok_or_else(|| Failure::usage(format!("--node {}: the graph has no such node", args.node)))?;
+        let robot = lacuna_recording::load_robot(&graph.robot)?;
+        let (model, model_text) = if graph.model.is_empty() {
+            (None, None)
+        } else {
+            let (model, text) = lacuna_recording::load_model(&graph.model, &robot.file)?;
+            (Some(model), Some(text))
+        };
+        let stop = Stop::default();
+        for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
+            signal_hook::flag::register(signal, Arc::clone(&stop.0))
+                .map_err(|e| Failure::run(format!("cannot handle signals: {e}")))?;
+        }
+        let go = Stop::default();
+        if args.unsupervised {
+            go.0.store(true, Ordering::Relaxed);
+        } else {
+            watch_supervisor(stop.clone(), go.clone());
+        }
+        Ok(Self { graph, node, restarts: args.restarts, robot, model, model_text, run, stop, go })
+    }
+
+    /// The node's configuration as the stage's own type.
+    pub fn config<C: serde::de::DeserializeOwned>(&self) -> Result<C, Failure> {
+        toml::Value::Table(self.node.config.clone()).try_into().map_err(|e: toml::de::Error| {
+            Failure::usage(format!("node \"{}\", config: {}", self.node.name, e.message().split_whitespace().collect::<Vec<_>>().join(" ")))
+        })
+    }
+
+    pub fn domain(&self) -> Result<Domain, Failure> {
+        Domain::join(&self.run, &self.node.name)
+    }
+
+    /// The one input of a stage.
+    pub fn single_input(&self) -> Result<&str, Failure> {
+        match self.node.inputs.as_slice() {
+            [topic] => Ok(topic),
+            other => Err(Failure::usage(format!("node \"{}\": found {} inputs; expected one", self.node.name, other.len()))),
+        }
+    }
+
+    /// Says ready and waits until the supervisor lets the stream begin (or a stop is asked for).
+    pub fn wait_for_go(&self) {
+        while !self.go.requested() && !self.stop.requested() {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+    }
+}
+
+/// Reads the standard input on a thread of its own: the line `go` starts the stream, its end (the
+/// supervisor died) stops the process.
+fn watch_supervisor(stop: Stop, go: Stop) {
+    std::thread::spawn(move || {
+        for line in std::io::stdin().lock().lines() {
+            match line {
+                Ok(line) if line.trim() == "go" => go.0.store(true, Ordering::Relaxed),
+                Ok(_) => {}
+                Err(_) => break,
+            }
+        }
+        stop.0.store(true, Ordering::Relaxed);
+    });
+}
+
+/// Runs the body of a process and turns its end into control messages and an exit code.
+pub(crate) fn main_with(body: impl FnOnce(&Process) -> Result<crate::StageReport, Failure>) -> ExitCode {
+    tracing_subscriber::fmt().with_writer(std::io::stderr).with_max_level(tracing::Level::INFO).with_ansi(false).init();
+    match Process::start().and_then(|p| body(&p)) {
+        Ok(report) => {
+            Event::Done { report }.emit();
+            ExitCode::SUCCESS
+        }
+        Err(failure) => {
+            tracing::error!("{failure}");
+            Event::Failed { reason: failure.to_string(), code: failure.code() }.emit();
+            ExitCode::from(failure.code())
+        }
+    }
+}
+
+/// Rate limit for progress messages.
+pub(crate) struct Pulse {
+    last: std::time::Instant,
+}
+
+impl Pulse {
+    pub fn new() -> Self {
+        Self { last: std::time::Instant::now() }
+    }
+
+    /// Emits a progress event if half a second has passed since the last one.
+    pub fn progress(&mut self, samples: u64, fraction: Option<f64>) {
+        if self.last.elapsed().as_millis() >= 500 {
+            self.last = std::time::Instant::now();
+            Event::Progress { samples, fraction }.emit();
+        }
+    }
+}

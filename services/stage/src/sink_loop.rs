@@ -1,0 +1,219 @@
+//! The process around a [`Sink`]: a reader of any number of topics, whatever known message they carry.
+
+use crate::bus::{Input, Received, Wake, topic_type};
+use crate::clock::monotonic_ns;
+use crate::control::{Event, StageReport};
+use crate::domain::Domain;
+use crate::latency::LatencyMeter;
+use crate::process::{Failure, Process, Pulse, main_with};
+use lacuna_interfaces::graph::{GraphFile, Mode};
+use lacuna_interfaces::{
+    BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, ModelFile, PayloadEstimate, RobotFile, TorqueModel, Wire,
+};
+use serde::de::DeserializeOwned;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+/// Samples taken from one topic before the next one is looked at.
+const BURST: usize = 64;
+const WAIT: Duration = Duration::from_millis(100);
+const OPEN_TIMEOUT: Duration = Duration::from_secs(10);
+
+macro_rules! messages {
+    ($($name:ident),*) => {
+        /// A sample of any message the graph knows.
+        #[derive(Debug, Clone, Copy)]
+        pub enum AnyMessage<'a> {
+            $(#[doc = concat!("A [`", stringify!($name), "`].")] $name(&'a $name),)*
+        }
+
+        impl AnyMessage<'_> {
+            /// The common header.
+            pub fn header(&self) -> &Header {
+                match self { $(Self::$name(m) => m.header(),)* }
+            }
+        }
+
+        enum AnyInput { $($name(Input<$name>),)* }
+
+        impl AnyInput {
+            fn open(domain: &Domain, graph: &GraphFile, topic: &str, type_name: &str) -> Result<Self, Failure> {
+                $(if type_name == $name::type_name() {
+                    return Ok(Self::$name(Input::open(domain, graph, topic)?));
+                })*
+                let known = [$($name::type_name()),*].join(", ");
+                Err(Failure::usage(format!(
+                    "topic \"{topic}\": it carries {type_name}, this process reads {known}; expected one of these messages in this layout"
+                )))
+            }
+
+            fn counts(&self) -> (&str, u64, u64) {
+                match self { $(Self::$name(i) => (i.topic(), i.received(), i.missing()),)* }
+            }
+
+            /// Takes up to `BURST` samples; returns how many, and whether the stream ended.
+            fn drain(&mut self, take: &mut dyn FnMut(&str, AnyMessage<'_>, u64) -> Result<(), Failure>) -> Result<(usize, bool), Failure> {
+                match self { $(Self::$name(input) => {
+                    for n in 0..BURST {
+                        match input.receive()? {
+                            None => return Ok((n, false)),
+                            Some(Received::End) => return Ok((n, true)),
+                            Some(Received::Sample { sample, missing }) => {
+                                take(input.topic(), AnyMessage::$name(&sample.payload().0), missing)?;
+                            }
+                        }
+                    }
+                    Ok((BURST, false))
+                })* }
+            }
+        }
+    };
+}
+
+messages!(JointMeasured, JointSmoothed, TorqueModel, FrictionTorque, PayloadEstimate);
+
+/// What a sink may know when it is made.
+#[derive(Debug, Clone, Copy)]
+pub struct SinkContext<'a> {
+    /// The robot file.
+    pub robot: &'a RobotFile,
+    /// Its text, for the record.
+    pub robot_text: &'a str,
+    /// Text of the URDF, if the robot file names one.
+    pub urdf: Option<&'a str>,
+    /// The model file, if there is one.
+    pub model: Option<&'a ModelFile>,
+    /// Its text.
+    pub model_text: Option<&'a str>,
+    /// The resolved graph.
+    pub graph: &'a GraphFile,
+    /// Topics it reads, in the graph's order.
+    pub topics: &'a [String],
+    /// Replay: wait rather than lose. Live: drop and count rather than wait.
+    pub mode: Mode,
+}
+
+/// Where a stream ends.
+pub trait Sink: Sized {
+    /// The node's `[config]` table.
+    type Config: DeserializeOwned;
+
+    /// Checks the configuration and opens the output.
+    ///
+    /// # Errors
+    /// [`BadInput`] if configuration or output cannot be used.
+    fn new(config: Self::Config, context: &SinkContext<'_>) -> Result<Self, BadInput>;
+
+    /// Takes a sample of `topic`; `missing` samples before it were lost.
+    ///
+    /// # Errors
+    /// A reason, if the output failed.
+    fn take(&mut self, topic: &str, message: AnyMessage<'_>, missing: u64) -> Result<(), String>;
+
+    /// Nothing to read right now: a chance to flush.
+    fn idle(&mut self);
+
+    /// All streams ended (`complete`), or the process is being stopped before they did.
+    ///
+    /// # Errors
+    /// A reason, if the output could not be completed.
+    fn finish(self, complete: bool) -> Result<serde_json::Value, String>;
+}
+
+/// `main` of a sink process.
+pub fn run_sink<S: Sink>() -> ExitCode {
+    main_with(body::<S>)
+}
+
+fn body<S: Sink>(process: &Process) -> Result<StageReport, Failure> {
+    let context = SinkContext {
+        robot: &process.robot.file,
+        robot_text: &process.robot.toml,
+        urdf: process.robot.urdf.as_deref(),
+        model: process.model.as_ref(),
+        model_text: process.model_text.as_deref(),
+        graph: &process.graph,
+        topics: &process.node.inputs,
+        mode: process.graph.mode,
+    };
+    let mut sink = S::new(process.config()?, &context)?;
+    let domain = process.domain()?;
+    let wake = Wake::open(&domain, &process.node.name)?;
+    let mut inputs = open_inputs(&domain, process)?;
+    Event::Ready.emit();
+
+    let mut report = StageReport::default();
+    let mut latency = LatencyMeter::new();
+    let mut pulse = Pulse::new();
+    let result = pump(process, &mut sink, &mut inputs, &wake, &mut report, &mut latency, &mut pulse);
+    let finished = sink.finish(result.is_ok()).map_err(Failure::run);
+    result?;
+    report.details = finished?;
+    report.latency = latency.report();
+    Ok(report)
+}
+
+/// Opens every input by the message its writer declared.
+fn open_inputs(domain: &Domain, process: &Process) -> Result<Vec<Option<AnyInput>>, Failure> {
+    let started = Instant::now();
+    let mut inputs = Vec::new();
+    for topic in &process.node.inputs {
+        let type_name = loop {
+            if let Some(name) = topic_type(topic) {
+                break name;
+            }
+            if process.stop.requested() {
+                return Err(Failure::Stopped);
+            }
+            if started.elapsed() > OPEN_TIMEOUT {
+                return Err(Failure::run(format!("topic \"{topic}\": nobody opened it within {} s", OPEN_TIMEOUT.as_secs())));
+            }
+            std::thread::sleep(Duration::from_millis(2));
+        };
+        inputs.push(Some(AnyInput::open(domain, &process.graph, topic, &type_name)?));
+    }
+    Ok(inputs)
+}
+
+/// Reads all topics until each has ended.
+fn pump<S: Sink>(
+    process: &Process,
+    sink: &mut S,
+    inputs: &mut [Option<AnyInput>],
+    wake: &Wake,
+    report: &mut StageReport,
+    latency: &mut LatencyMeter,
+    pulse: &mut Pulse,
+) -> Result<(), Failure> {
+    let last = inputs.len().saturating_sub(1);
+    while inputs.iter().any(Option::is_some) {
+        let mut taken = 0;
+        for (index, slot) in inputs.iter_mut().enumerate() {
+            let Some(input) = slot else { continue };
+            let (n, ended) = input.drain(&mut |topic, message, missing| {
+                // The last topic has passed every stage: it tells the whole way.
+                if index == last {
+                    latency.record(message.header(), monotonic_ns());
+                }
+                sink.take(topic, message, missing).map_err(Failure::run)
+            })?;
+            taken += n;
+            if ended {
+                let (topic, received, missing) = input.counts();
+                report.received.insert(topic.to_owned(), received);
+                report.missing += missing;
+                *slot = None;
+            }
+        }
+        if process.stop.requested() {
+            return Err(Failure::Stopped);
+        }
+        if taken == 0 && inputs.iter().any(Option::is_some) {
+            sink.idle();
+            wake.wait(WAIT);
+        }
+        let samples = inputs.iter().flatten().map(|i| i.counts().1).max().unwrap_or(0);
+        pulse.progress(samples, None);
+    }
+    Ok(())
+}

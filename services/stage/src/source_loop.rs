@@ -1,0 +1,113 @@
+//! The process around a [`Source`]: it alone knows wall-clock pacing.
+
+use crate::bus::Output;
+use crate::clock::monotonic_ns;
+use crate::control::{Event, StageReport};
+use crate::process::{Failure, Process, Pulse, main_with};
+use lacuna_interfaces::{BadInput, RobotFile, Wire};
+use serde::de::DeserializeOwned;
+use std::process::ExitCode;
+use std::time::Duration;
+
+/// What a source may know when it is made.
+#[derive(Debug, Clone, Copy)]
+pub struct SourceContext<'a> {
+    /// The robot file.
+    pub robot: &'a RobotFile,
+}
+
+/// Where the stream begins.
+pub trait Source: Sized {
+    /// The node's `[config]` table.
+    type Config: DeserializeOwned;
+    /// What it writes.
+    type Output: Wire;
+
+    /// Opens the input and checks it against the robot.
+    ///
+    /// # Errors
+    /// [`BadInput`] if configuration or input cannot be used.
+    fn new(config: Self::Config, context: &SourceContext<'_>) -> Result<Self, BadInput>;
+
+    /// Next sample with sequence number and measurement stamp; `None` at the end.
+    ///
+    /// # Errors
+    /// [`BadInput`] with the place where the input stops making sense.
+    fn next_sample(&mut self) -> Result<Option<Self::Output>, BadInput>;
+
+    /// When the sample is due, as time since the first one [ns]; `None` to send as fast as the graph accepts.
+    fn due_ns(&self, sample: &Self::Output) -> Option<u64>;
+
+    /// Share of the input that is done, if known.
+    fn fraction(&self) -> Option<f64>;
+
+    /// What the source has to say at the end: files, repairs, counts.
+    fn report(&self) -> serde_json::Value;
+}
+
+/// `main` of a source process.
+pub fn run_source<S: Source>() -> ExitCode {
+    main_with(body::<S>)
+}
+
+fn body<S: Source>(process: &Process) -> Result<StageReport, Failure> {
+    let mut source = S::new(process.config()?, &SourceContext { robot: &process.robot.file })?;
+    let domain = process.domain()?;
+    let topic = process
+        .node
+        .output
+        .as_deref()
+        .ok_or_else(|| Failure::usage(format!("node \"{}\": found no output; expected one", process.node.name)))?;
+    let mut output = Output::<S::Output>::open(&domain, &process.graph, topic, &process.stop)?;
+    Event::Ready.emit();
+    process.wait_for_go();
+
+    let mut pulse = Pulse::new();
+    let start = monotonic_ns();
+    let mut last_seq = 0;
+    // A stop request ends the stream here; the sentinel then ends it everywhere, in order.
+    while !process.stop.requested() {
+        let Some(sample) = source.next_sample()? else { break };
+        if let Some(due) = source.due_ns(&sample) {
+            sleep_until(start + due, &mut output, process);
+        }
+        match output.send(&sample) {
+            // The stop may have come between two readers of this sample: send it again, so that all have it.
+            Err(Failure::Stopped) => {
+                process.stop.clear();
+                output.send(&sample)?;
+                last_seq = sample.header().seq;
+                break;
+            }
+            other => other?,
+        }
+        last_seq = sample.header().seq;
+        if last_seq % 256 == 0 || source.due_ns(&sample).is_some() {
+            pulse.progress(last_seq, source.fraction());
+        }
+    }
+    let report = StageReport {
+        published: output.published(),
+        dropped: output.dropped(),
+        details: source.report(),
+        ..StageReport::default()
+    };
+    process.stop.clear();
+    output.finish(last_seq + 1, process.robot.file.joint_count() as u32)?;
+    Ok(report)
+}
+
+/// Sleeps until the monotonic clock reads `due`; wakes the readers first, so that they work meanwhile.
+fn sleep_until<W: Wire>(due: u64, output: &mut Output<W>, process: &Process) {
+    loop {
+        let now = monotonic_ns();
+        if now >= due {
+            return;
+        }
+        output.flush();
+        if process.stop.requested() {
+            return;
+        }
+        std::thread::sleep(Duration::from_nanos((due - now).min(100_000_000)));
+    }
+}

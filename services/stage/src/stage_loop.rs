@@ -1,0 +1,117 @@
+//! The process around a [`Stage`].
+
+use crate::bus::{Input, Output, Received, Wake};
+use crate::control::{Event, StageReport};
+use crate::process::{Failure, Process, Pulse, main_with};
+use lacuna_interfaces::graph::Mode;
+use lacuna_interfaces::{Stage, StageContext, Wire, flag};
+use std::process::ExitCode;
+use std::time::Duration;
+
+/// Samples handled between two looks at the stop flag and the progress clock.
+const BURST: usize = 256;
+const WAIT: Duration = Duration::from_millis(100);
+
+/// `main` of a stage process.
+pub fn run_stage<S: Stage>() -> ExitCode {
+    main_with(body::<S>)
+}
+
+fn body<S: Stage>(process: &Process) -> Result<StageReport, Failure> {
+    let context =
+        StageContext { robot: &process.robot.file, urdf: process.robot.urdf.as_deref(), model: process.model.as_ref() };
+    let mut stage = S::new(process.config()?, &context)
+        .map_err(|e| Failure::usage(format!("node \"{}\": {e}", process.node.name)))?;
+    let domain = process.domain()?;
+    let wake = Wake::open(&domain, &process.node.name)?;
+    let mut input = Input::<S::Input>::open(&domain, &process.graph, process.single_input()?)?;
+    let topic = process
+        .node
+        .output
+        .as_deref()
+        .ok_or_else(|| Failure::usage(format!("node \"{}\": found no output; expected one", process.node.name)))?;
+    let mut output = Output::<S::Output>::open(&domain, &process.graph, topic, &process.stop)?;
+    Event::Ready.emit();
+
+    let mut relay = Relay { restarts: process.restarts, error: None, last_seq: 0 };
+    let mut pulse = Pulse::new();
+    let mut joints = process.robot.file.joint_count() as u32;
+    'stream: loop {
+        for _ in 0..BURST {
+            match input.receive()? {
+                None => {
+                    output.flush();
+                    wake.wait(WAIT);
+                    break;
+                }
+                Some(Received::End) => break 'stream,
+                Some(Received::Sample { sample, missing }) => {
+                    let message = &sample.payload().0;
+                    joints = message.header().joints;
+                    if missing > 0 || (relay.restarts > 0 && relay.last_seq == 0) {
+                        // Live only: the copy is worth it, the hole must travel with the sample.
+                        let mut marked = *message;
+                        marked.header_mut().flags |= flag::GAP;
+                        stage.step(&marked, &mut |out| relay.send(&mut output, out));
+                    } else {
+                        stage.step(message, &mut |out| relay.send(&mut output, out));
+                    }
+                    relay.check()?;
+                }
+            }
+        }
+        if process.stop.requested() {
+            return Err(Failure::Stopped);
+        }
+        pulse.progress(input.received(), None);
+    }
+    stage.finish(&mut |out| relay.send(&mut output, out));
+    relay.check()?;
+    let report = StageReport {
+        received: [(input.topic().to_owned(), input.received())].into(),
+        published: output.published(),
+        dropped: output.dropped(),
+        missing: input.missing(),
+        ..StageReport::default()
+    };
+    if process.graph.mode == Mode::Replay && report.published != input.received() {
+        return Err(Failure::run(format!(
+            "node \"{}\": took {} samples and gave {}; expected one for one",
+            process.node.name,
+            input.received(),
+            report.published
+        )));
+    }
+    // Letting go of the input tells the writer that the sentinel was taken.
+    drop(input);
+    output.finish(relay.last_seq + 1, joints)?;
+    Ok(report)
+}
+
+/// Sends what a stage emits; the first error is kept, since a stage's callback cannot return one.
+struct Relay {
+    restarts: u32,
+    error: Option<Failure>,
+    last_seq: u64,
+}
+
+impl Relay {
+    fn send<W: Wire>(&mut self, output: &mut Output<W>, message: &W) {
+        if self.error.is_some() {
+            return;
+        }
+        self.last_seq = message.header().seq;
+        let result = if self.restarts == 0 {
+            output.send(message)
+        } else {
+            let mut marked = *message;
+            marked.header_mut().restarts += self.restarts;
+            output.send(&marked)
+        };
+        self.error = result.err();
+    }
+
+    fn check(&mut self) -> Result<(), Failure> {
+        self.error.take().map_or(Ok(()), Err)
+    }
+}

@@ -155,7 +155,8 @@ def urdf_chain(rng, kinds):
     assert model.nv == moved and [str(n) for n in model.names][1:] == [f"j{i + 1}" for i in range(moved)]
     flange = model.frames[model.getFrameId("flange")]
     toml = head(moved, gravity, 'urdf = "golden.urdf"\n')
-    return Chain(model, flange.parentJoint, flange.placement, np.zeros(moved), toml, text)
+    # A copy: adding the tip frame moves the list that the placement lives in.
+    return Chain(model, flange.parentJoint, flange.placement.copy(), np.zeros(moved), toml, text)
 
 
 def main(path, named):

@@ -10,8 +10,8 @@ use iceoryx2::prelude::*;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
-/// Same size as the largest message of the graph: 8 B × 104.
-const WORDS: usize = 104;
+/// As large as the mean of the five messages of the graph: 552 B.
+const WORDS: usize = 69;
 
 #[repr(C)]
 #[derive(Debug, Clone, Copy, ZeroCopySend)]

@@ -1,1 +1,29 @@
-//! Placeholder.
+//! Benchmarks, each with its baseline in the same run: absolute times depend on the machine and its mood, ratios
+//! much less. `lacuna bench` prints them; nothing here is a test.
+
+pub mod chain;
+pub mod latency;
+pub mod memory;
+pub mod motion;
+pub mod throughput;
+
+use std::path::PathBuf;
+
+/// Why a benchmark could not be run.
+pub type BenchError = Box<dyn std::error::Error>;
+
+/// Executable beside this one.
+fn beside(name: &str) -> Result<PathBuf, BenchError> {
+    let path = std::env::current_exe()?.parent().ok_or("no folder")?.join(name);
+    if path.is_file() { Ok(path) } else { Err(format!("{}: not built; build the whole workspace first", path.display()).into()) }
+}
+
+/// Median; 0 for none.
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    match values.len() {
+        0 => 0.0,
+        n if n % 2 == 1 => values[n / 2],
+        n => 0.5 * (values[n / 2 - 1] + values[n / 2]),
+    }
+}

@@ -103,7 +103,7 @@ fn print_summary(graph: &GraphFile, report: &RunReport) {
         for l in &node.latency {
             let _ = writeln!(
                 out,
-                "  {name}: {:<11} p50 {:>9.1} µs  p99 {:>9.1} µs  p99.9 {:>9.1} µs  max {:>9.1} µs",
+                "  {name}: {:<34} p50 {:>9.1} µs  p99 {:>9.1} µs  p99.9 {:>9.1} µs  max {:>9.1} µs",
                 l.hop, l.p50_us, l.p99_us, l.p999_us, l.max_us
             );
         }

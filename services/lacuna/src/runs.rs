@@ -2,7 +2,7 @@
 
 use crate::CommandResult;
 use clap::Args;
-use lacuna_stage::Failure;
+use lacuna_stage::{Failure, RunDir};
 use rustix::process::{Pid, Signal, getuid, kill_process, test_kill_process};
 use serde::{Deserialize, Serialize};
 use std::io::Write;
@@ -136,7 +136,14 @@ pub fn now_s() -> u64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_secs())
 }
 
+/// Also sweeps the bus of runs whose supervisor was killed, once their stages are gone too.
 fn forget_old(root: &Path) {
+    for (dir, status) in list(root) {
+        let orphaned = status.state == State::Failed && !status.nodes.iter().any(|n| n.pid > 0 && alive(n.pid));
+        if orphaned {
+            RunDir::open(&dir).remove_domain();
+        }
+    }
     let mut finished: Vec<(u64, PathBuf)> = list(root)
         .into_iter()
         .filter(|(_, s)| matches!(s.state, State::Done | State::Failed))

@@ -34,6 +34,8 @@ pub struct StageReport {
     pub dropped: u64,
     /// Samples missing in the input sequences (counted by the reader).
     pub missing: u64,
+    /// Largest resident size of the process [KiB].
+    pub peak_rss_kib: u64,
     /// Latency per hop, from processes that end a chain.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub latency: Vec<HopLatency>,

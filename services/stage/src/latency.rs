@@ -9,6 +9,9 @@ use lacuna_interfaces::wire::MAX_HOPS;
 pub struct LatencyMeter {
     hops: Vec<Histogram<u64>>,
     total: Histogram<u64>,
+    first_less_lag: Histogram<u64>,
+    total_less_lag: Histogram<u64>,
+    lagged: bool,
 }
 
 const HIGHEST_NS: u64 = 100_000_000_000;
@@ -17,7 +20,13 @@ impl LatencyMeter {
     /// Allocates all histograms; recording does not allocate.
     pub fn new() -> Self {
         let histogram = || Histogram::new_with_bounds(1, HIGHEST_NS, 3).expect("constant, valid bounds");
-        Self { hops: (0..MAX_HOPS).map(|_| histogram()).collect(), total: histogram() }
+        Self {
+            hops: (0..MAX_HOPS).map(|_| histogram()).collect(),
+            total: histogram(),
+            first_less_lag: histogram(),
+            total_less_lag: histogram(),
+            lagged: false,
+        }
     }
 
     /// Records a sample that arrived at `now_ns`.
@@ -28,7 +37,13 @@ impl LatencyMeter {
             self.hops[i].saturating_record(next.saturating_sub(header.hop_ns[i]).max(1));
         }
         if n > 0 {
-            self.total.saturating_record(now_ns.saturating_sub(header.hop_ns[0]).max(1));
+            let total = now_ns.saturating_sub(header.hop_ns[0]);
+            self.total.saturating_record(total.max(1));
+            // The smoother is the first stage after the source; its lag is chosen, not lost on the way.
+            let first = if n > 1 { header.hop_ns[1].saturating_sub(header.hop_ns[0]) } else { total };
+            self.lagged |= header.lag_ns > 0;
+            self.first_less_lag.saturating_record(first.saturating_sub(header.lag_ns).max(1));
+            self.total_less_lag.saturating_record(total.saturating_sub(header.lag_ns).max(1));
         }
     }
 
@@ -47,6 +62,10 @@ impl LatencyMeter {
         let name = |i: usize| if i == last { format!("{i}→here") } else { format!("{i}→{}", i + 1) };
         let mut all: Vec<HopLatency> = (0..=last).map(|i| summary(name(i), &self.hops[i])).collect();
         all.push(summary("end to end".to_owned(), &self.total));
+        if self.lagged {
+            all.push(summary("0→1 less the smoother's lag".to_owned(), &self.first_less_lag));
+            all.push(summary("end to end less the smoother's lag".to_owned(), &self.total_less_lag));
+        }
         all
     }
 }

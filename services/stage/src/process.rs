@@ -177,7 +177,8 @@ fn watch_supervisor(stop: Stop, go: Stop) {
 pub(crate) fn main_with(body: impl FnOnce(&Process) -> Result<crate::StageReport, Failure>) -> ExitCode {
     tracing_subscriber::fmt().with_writer(std::io::stderr).with_max_level(tracing::Level::INFO).with_ansi(false).init();
     match Process::start().and_then(|p| body(&p)) {
-        Ok(report) => {
+        Ok(mut report) => {
+            report.peak_rss_kib = peak_rss_kib();
             Event::Done { report }.emit();
             ExitCode::SUCCESS
         }
@@ -187,6 +188,13 @@ pub(crate) fn main_with(body: impl FnOnce(&Process) -> Result<crate::StageReport
             ExitCode::from(failure.code())
         }
     }
+}
+
+/// Largest resident size so far, as the kernel counts it; 0 where it does not say.
+fn peak_rss_kib() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
+    line.and_then(|l| l.split_whitespace().next()?.parse().ok()).unwrap_or(0)
 }
 
 /// Rate limit for progress messages.

@@ -1,0 +1,38 @@
+#!/usr/bin/env bash
+# Runs all tests:  ./tests/run.sh          the tests every change must pass (about ten minutes cold, on two cores)
+#                  ./tests/run.sh --all    also the long ones
+# Independent readers of recordings (Python: mcap, mcap-ros2-support, rosbags) go into a virtual environment of
+# their own under target/; where that cannot be made, the tests that need them say SKIPPED.
+set -uo pipefail
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+cd "$root" || exit 1
+target=${CARGO_TARGET_DIR:-$root/target}
+long=()
+case "${1:-}" in
+    "") ;;
+    --all) long=(--include-ignored) ;;
+    *) echo "usage: tests/run.sh [--all]" >&2; exit 2 ;;
+esac
+
+venv=$target/test-venv
+packages="mcap==1.6.0 mcap-ros2-support==0.6.0 rosbags==0.11.9 numpy"
+if [ ! -f "$venv/ready" ]; then
+    mkdir -p "$target"
+    rm -rf "$venv"
+    if python3 -m venv "$venv" && "$venv/bin/pip" install --quiet --disable-pip-version-check $packages; then
+        touch "$venv/ready"
+    else
+        echo "note: no Python environment; tests with independent readers will be skipped" >&2
+    fi
+fi
+[ -f "$venv/ready" ] && export LACUNA_TEST_PYTHON=$venv/bin/python
+
+cargo build --release --workspace --bins || exit 1
+log=$(mktemp)
+trap 'rm -f "$log"' EXIT
+cargo test --release --workspace --no-fail-fast -- "${long[@]}" 2>&1 | tee "$log"
+status=${PIPESTATUS[0]}
+# cargo prints one result line per test executable; this is their sum.
+awk '/^test result:/ { for (i = 1; i <= NF; i++) { if ($i ~ /^passed/) p += $(i-1); if ($i ~ /^failed/) f += $(i-1); if ($i ~ /^ignored/) s += $(i-1) } }
+     END { printf "%d passed, %d failed, %d skipped\n", p, f, s }' "$log"
+exit "$status"

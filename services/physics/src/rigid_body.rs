@@ -67,6 +67,9 @@ pub enum Unreachable {
         /// Joint (0-based).
         joint: usize,
     },
+    /// The values are finite but so large that the result is not.
+    #[error("the result is not finite: the motion or the parameters are too large to be calculated with")]
+    Overflow,
     /// A slice has the wrong number of entries.
     #[error("{what}: found {found} entries; expected {expected}")]
     Shape {
@@ -264,6 +267,13 @@ fn finite_value(symbol: &str, value: f64) -> Result<(), BadInput> {
         return Ok(());
     }
     Err(BadInput::new(format!("rigid_body: {symbol} = {value}; expected a finite number")))
+}
+
+/// Refuses a result that overflowed.
+#[inline]
+pub(crate) fn check_result(values: &[f64]) -> Result<(), Unreachable> {
+    // A sum of finite numbers may overflow too, but only beyond what any robot produces.
+    if values.iter().sum::<f64>().is_finite() { Ok(()) } else { Err(Unreachable::Overflow) }
 }
 
 /// Refuses a slice of the wrong length.

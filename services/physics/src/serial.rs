@@ -21,7 +21,7 @@ pub mod dynamics;
 pub mod kinematics;
 pub mod urdf;
 
-use crate::rigid_body::check_len;
+use crate::rigid_body::{check_len, check_result};
 use crate::{Evaluation, Motion, Parameter, RigidBody, Tip, TipMotion, Unreachable, Vec3};
 use chain::{Joint, Placement, Segment};
 pub use kinematics::Target;
@@ -121,21 +121,21 @@ impl RigidBody for SerialChain {
         check_len("pi", pi.len(), self.parameters.len())?;
         check_len("tau", tau.len(), self.joints.len())?;
         self.newton_euler(&self.sweep(motion), motion.qdd_rad_s2, pi, tau);
-        Ok(())
+        check_result(tau)
     }
 
     fn regressor(&self, motion: &Motion<'_>, y: &mut [f64]) -> Result<(), Unreachable> {
         self.check_motion(motion)?;
         check_len("regressor", y.len(), self.parameters.len() * self.joints.len())?;
         self.fill_regressor(&self.sweep(motion), motion.qdd_rad_s2, y);
-        Ok(())
+        check_result(y)
     }
 
     fn payload_column(&self, motion: &Motion<'_>, column: &mut [f64]) -> Result<(), Unreachable> {
         self.check_motion(motion)?;
         check_len("column", column.len(), self.joints.len())?;
         self.tip_mass(&self.sweep(motion), column);
-        Ok(())
+        check_result(column)
     }
 
     fn evaluate(&self, motion: &Motion<'_>, nominal: &[f64], rigid: &[f64]) -> Result<Evaluation, Unreachable> {
@@ -148,24 +148,33 @@ impl RigidBody for SerialChain {
         self.newton_euler(&links, motion.qdd_rad_s2, nominal, &mut out.tau_nominal_nm[..n]);
         self.newton_euler(&links, motion.qdd_rad_s2, rigid, &mut out.tau_rigid_nm[..n]);
         self.tip_mass(&links, &mut out.payload_column_nm_kg[..n]);
+        check_result(&out.tau_nominal_nm)?;
+        check_result(&out.tau_rigid_nm)?;
+        check_result(&out.payload_column_nm_kg)?;
         Ok(out)
     }
 
     fn tip(&self, q_rad: &[f64]) -> Result<Tip, Unreachable> {
         self.check_q(q_rad)?;
-        Ok(self.tip_pose(q_rad))
+        let tip = self.tip_pose(q_rad);
+        check_result(&tip.position_m)?;
+        Ok(tip)
     }
 
     fn tip_motion(&self, motion: &Motion<'_>) -> Result<TipMotion, Unreachable> {
         self.check_motion(motion)?;
-        Ok(self.tip_motion_at(motion))
+        let tip = self.tip_motion_at(motion);
+        check_result(&tip.position_m)?;
+        check_result(&tip.velocity_m_s)?;
+        check_result(&tip.acceleration_m_s2)?;
+        Ok(tip)
     }
 
     fn jacobian(&self, q_rad: &[f64], j: &mut [f64]) -> Result<(), Unreachable> {
         self.check_q(q_rad)?;
         check_len("jacobian", j.len(), 3 * self.joints.len())?;
         self.fill_jacobian(q_rad, j);
-        Ok(())
+        check_result(j)
     }
 
     fn jacobian_rate(&self, q_rad: &[f64], qd_rad_s: &[f64], j_rate: &mut [f64]) -> Result<(), Unreachable> {
@@ -173,14 +182,14 @@ impl RigidBody for SerialChain {
         self.check_q(qd_rad_s)?;
         check_len("jacobian", j_rate.len(), 3 * self.joints.len())?;
         self.fill_jacobian_rate(q_rad, qd_rad_s, j_rate);
-        Ok(())
+        check_result(j_rate)
     }
 
     fn external_force(&self, q_rad: &[f64], force_n: [f64; 3], tau: &mut [f64]) -> Result<(), Unreachable> {
         self.check_q(q_rad)?;
         check_len("tau", tau.len(), self.joints.len())?;
         self.fill_external_force(q_rad, Vec3::from(force_n), tau);
-        Ok(())
+        check_result(tau)
     }
 
     fn as_serial(&self) -> Option<&SerialChain> {

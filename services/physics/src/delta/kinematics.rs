@@ -115,7 +115,7 @@ impl Delta {
     ///
     /// # Errors
     /// [`Unreachable`] where the forearms do not meet, or lie in one plane, or θ is not finite.
-    #[inline]
+    #[inline(always)]
     pub fn pose(&self, q: &[f64; 3]) -> Result<DeltaPose, Unreachable> {
         let mut elbow = [Vec3::zeros(); 3];
         let (mut u, mut w) = ([Vec3::zeros(); 3], [Vec3::zeros(); 3]);
@@ -140,7 +140,7 @@ impl Delta {
     }
 
     /// Point at distance l2 from all three elbows, below their plane.
-    #[inline]
+    #[inline(always)]
     fn below(&self, elbow: &[Vec3; 3], q: &[f64; 3]) -> Result<Vec3, Unreachable> {
         let (e1, e2) = (elbow[1] - elbow[0], elbow[2] - elbow[0]);
         let normal = e1.cross(&e2);
@@ -162,7 +162,7 @@ impl Delta {
     ///
     /// # Errors
     /// As [`Delta::pose`]; also where θ̇ or θ̈ is not finite.
-    #[inline]
+    #[inline(always)]
     pub fn state(&self, q: &[f64; 3], qd: &[f64; 3], qdd: &[f64; 3]) -> Result<DeltaState, Unreachable> {
         let pose = self.pose(q)?;
         let xd = pose.solve(std::array::from_fn(|i| -pose.k[i] * qd[i]));

@@ -8,7 +8,7 @@ use super::chain::Placement;
 use crate::{Mat3, Motion, Tip, TipMotion, Unreachable, Vec3};
 use lacuna_interfaces::robot::JointType;
 use lacuna_interfaces::{Joints, MAX_JOINTS};
-use nalgebra::{Matrix6, Rotation3, SMatrix, Vector6};
+use nalgebra::{Matrix6, SMatrix, Vector6};
 
 /// What inverse kinematics shall reach.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -197,12 +197,26 @@ fn error_to(tip: &Placement, target: &Target) -> Vector6<f64> {
         Target::Position(p) => (Vec3::from(*p), Vec3::zeros()),
         Target::Pose(goal) => {
             let goal_rotation = Mat3::from_fn(|r, c| goal.rotation[r][c]);
-            let turn = Rotation3::from_matrix_unchecked(goal_rotation * tip.rotation.transpose());
-            (Vec3::from(goal.position_m), turn.scaled_axis())
+            (Vec3::from(goal.position_m), rotation_vector(&(goal_rotation * tip.rotation.transpose())))
         }
     };
     let d = position - tip.position;
     Vector6::new(d.x, d.y, d.z, turn.x, turn.y, turn.z)
+}
+
+/// Axis times angle of a rotation, to full precision everywhere: R = c 1 + (1 − c) a aᵀ + s [a]×, whose
+/// skew part is exact for small angles and whose symmetric part is exact for large ones. (The arc cosine of
+/// the trace alone has only half the digits near 0.)
+fn rotation_vector(r: &Mat3) -> Vec3 {
+    let skew = 0.5 * Vec3::new(r.m32 - r.m23, r.m13 - r.m31, r.m21 - r.m12);
+    let (s, c) = (skew.norm(), 0.5 * (r.trace() - 1.0));
+    if c > 0.0 {
+        return if s > 0.0 { skew * (s.atan2(c) / s) } else { Vec3::zeros() };
+    }
+    let outer = 0.5 * (r + r.transpose()) - c * Mat3::identity();
+    let longest = (0..3).max_by(|&a, &b| outer.column(a).norm_squared().total_cmp(&outer.column(b).norm_squared()));
+    let axis = outer.column(longest.unwrap_or(0)).try_normalize(1e-9).unwrap_or_else(Vec3::z);
+    axis * s.atan2(c).copysign(axis.dot(&skew))
 }
 
 fn tip_of(place: &Placement) -> Tip {
@@ -210,5 +224,23 @@ fn tip_of(place: &Placement) -> Tip {
     Tip {
         position_m: place.position.into(),
         rotation: std::array::from_fn(|row| std::array::from_fn(|column| r[(row, column)])),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Against nalgebra's exponential of the vector, from zero to half a turn.
+    #[test]
+    fn rotation_vector_is_the_inverse_of_the_exponential() {
+        let axis = Vec3::new(0.48, -0.6, 0.64);
+        for angle in [0.0, 1e-12, 1e-9, 1e-5, 0.3, 1.5, 3.0, std::f64::consts::PI - 1e-4, std::f64::consts::PI] {
+            let r = nalgebra::Rotation3::new(axis * angle);
+            let found = rotation_vector(r.matrix());
+            let back = nalgebra::Rotation3::new(found);
+            assert!((back.matrix() - r.matrix()).norm() < 1e-14, "{angle}");
+            assert!((found.norm() - angle).abs() < 1e-14 + 1e-12 * angle, "{angle} {}", found.norm());
+        }
     }
 }

@@ -55,8 +55,9 @@ pub fn read(text: &str, names: &[String]) -> Result<(Vec<Segment>, Placement), B
     let tree = Tree::parse(&doc)?;
     let mut segments = Vec::with_capacity(names.len());
     let mut previous: Option<&UrdfJoint<'_>> = None;
-    for name in names {
-        let joint = tree.movable(name)?;
+    // All names first: a misspelt one is the likelier reason for a joint that seems left out.
+    let chain = names.iter().map(|name| tree.movable(name)).collect::<Result<Vec<_>, _>>()?;
+    for joint in chain {
         let (kind, before) = tree.placement(joint, previous)?;
         segments.push(Segment {
             kind,

@@ -4,6 +4,17 @@
 //! M_Id scales the first two terms by ρ1 and ρ2 (paper eq. 6); forearms with distributed mass add the
 //! elbow-platform coupling `m_JE` and make the platform's inertial and gravitational mass differ.
 //!
+//! What the paper prints and what holds (checked against bodies and constraints, `tests/golden.rs`):
+//!
+//! | paper | as printed | here |
+//! |---|---|---|
+//! | sections 2 and 3 | θ downward with r = r_a − r_b, then θ upward with r = r_b − r_a | θ > 0 lowers the elbow, r = r_a − r_b throughout |
+//! | k_ii | lacks the factor l1 | k_i = −s_i·u_i |
+//! | inverse kinematics | one solution a leg | two; both in [`LegAngles`] |
+//! | forward kinematics | sign open | the intersection below the elbow plane |
+//! | eq. 5 | I Θ, dots missing | I Θ̈ |
+//! | m2 | the forearm at elbow and platform both | one rod of a leg at either end; uniform rods by [`Forearm`] |
+//!
 //! Kinematics are in [`kinematics`], the parameter vector in [`parameters`].
 
 pub mod kinematics;

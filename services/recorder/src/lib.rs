@@ -1,118 +1,212 @@
-//! The recorder: every message of the graph to an MCAP file.
+//! The recorder: every message of the graph to an MCAP file that ROS 2 tools and viewers open as it is.
+//!
+//! | message | topic | holds |
+//! |---|---|---|
+//! | [`JointMeasured`] | `/measured` | position, effort |
+//! | | `/measured/detail` | temperature, link side, drive state; only where there is any |
+//! | [`JointSmoothed`] | `/smoothed` | position, velocity |
+//! | | `/smoothed/detail` | acceleration, standard deviations |
+//! | [`TorqueModel`] | `/torque/nominal`, `/torque/rigid` | effort |
+//! | [`FrictionTorque`] | `/friction` | effort |
+//! | [`PayloadEstimate`] | `/residual`, `/residual_payload` | effort |
+//! | | `/payload` | mass and its standard deviation |
+//! | the last of them | `/status` | sequence, flags, drops, latencies |
+//!
+//! Pure apart from the file: the bus and the clock are the process's business. Each stream's sequence is
+//! checked; what is missing is counted, and only a finished recording carries `complete = true`.
+
+mod config;
+mod streams;
+
+pub use config::{Config, Run};
+pub use lacuna_recording::container::{Attachment, WriteError};
+pub use streams::{Counts, Stream};
 
 use lacuna_interfaces::{
-    BadInput, FrictionTorque, JointMeasured, JointSmoothed, PayloadEstimate, RobotFile, TorqueModel,
+    BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, PayloadEstimate, TorqueModel, flag,
 };
-use serde::Deserialize;
+use lacuna_recording::container::{Finished, MessageBatch, Writer};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-
-/// The node's `config` table.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Config {
-    /// File to write.
-    pub path: PathBuf,
-}
-
-/// What the recorder is told about the run.
-#[derive(Debug, Clone)]
-pub struct Run<'a> {
-    /// The robot.
-    pub robot: &'a RobotFile,
-    /// Messages that will come.
-    pub streams: &'a [Stream],
-    /// `true`: what the disk cannot take is dropped and counted; `false`: the caller waits.
-    pub live: bool,
-    /// Files to attach: name, media type, text.
-    pub attachments: Vec<(String, String, String)>,
-    /// Further facts for the recording's metadata.
-    pub facts: BTreeMap<String, String>,
-}
-
-/// Messages that can be recorded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Stream {
-    /// [`JointMeasured`].
-    Measured,
-    /// [`JointSmoothed`].
-    Smoothed,
-    /// [`TorqueModel`].
-    Torque,
-    /// [`FrictionTorque`].
-    Friction,
-    /// [`PayloadEstimate`].
-    Payload,
-}
-
-/// What was recorded.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Counts {
-    /// Samples taken per stream.
-    pub samples: BTreeMap<Stream, u64>,
-    /// Sequence numbers missing per stream.
-    pub missing: BTreeMap<Stream, u64>,
-    /// Messages written per MCAP topic.
-    pub messages: BTreeMap<String, u64>,
-    /// Messages dropped because the disk was too slow (live only).
-    pub dropped: u64,
-}
-
-/// Why recording failed.
-pub type RecorderError = BadInput;
+use streams::{Sequences, Topics};
 
 /// Writes a recording.
 #[derive(Debug)]
-pub struct Recorder {}
+pub struct Recorder {
+    writer: Writer,
+    topics: Topics,
+    sequences: Sequences,
+    joints: usize,
+    /// The bag folder and the file's name in it, if there is one.
+    bag: Option<(PathBuf, String)>,
+}
 
 impl Recorder {
-    /// Creates the file.
+    /// Creates the file (or bag folder) and writes what it needs to explain itself: the attached files and a
+    /// metadata record `lacuna`.
     ///
     /// # Errors
-    /// The file exists, or cannot be written.
-    pub fn new(_config: Config, _run: &Run<'_>) -> Result<Self, RecorderError> {
-        Err(BadInput::new("the recorder is being written"))
+    /// [`WriteError`]: the configuration makes no sense, the file exists and may not be replaced, or it cannot
+    /// be written.
+    pub fn new(config: &Config, run: &Run<'_>) -> Result<Self, WriteError> {
+        let options = config.options(run.live)?;
+        if run.streams.is_empty() {
+            return Err(BadInput::new("found no stream to record; expected at least one").into());
+        }
+        let (file, bag) = config.place()?;
+        let mut writer = Writer::create(&file, "ros2", &options)?;
+        writer.metadata("lacuna", &run.facts_with(&config.path))?;
+        for attachment in &run.attachments {
+            writer.attach(attachment)?;
+        }
+        let topics = Topics::declare(&mut writer, run)?;
+        Ok(Self { writer, topics, sequences: Sequences::default(), joints: run.robot.joint_count(), bag })
     }
+
     /// Records a measured sample.
     ///
     /// # Errors
-    /// Writing failed.
-    pub fn measured(&mut self, _m: &JointMeasured) -> Result<(), RecorderError> {
-        Ok(())
+    /// [`WriteError`] if writing failed; the file stays readable up to there.
+    pub fn measured(&mut self, m: &JointMeasured) -> Result<(), WriteError> {
+        let n = self.joints;
+        self.record(Stream::Measured, &m.header, |topics, batch| {
+            let there = |values: &[f64]| values.iter().any(|v| !v.is_nan());
+            let drive_on = !m.header.has(flag::DRIVE_OFF);
+            if !drive_on || there(&m.temperature_degc[..n]) || there(&m.link_q_rad[..n]) || there(&m.link_tau_nm[..n]) {
+                // Before its JointState, so that a reader has it when the sample comes.
+                topics.write(Topics::MEASURED_DETAIL, batch, &m.header, |slots| {
+                    slots
+                        .numbers(&m.temperature_degc[..n])
+                        .numbers(&m.link_q_rad[..n])
+                        .numbers(&m.link_tau_nm[..n])
+                        .bytes(&[u8::from(drive_on)])
+                        .done();
+                });
+            }
+            topics.write(Topics::MEASURED, batch, &m.header, |slots| {
+                slots.numbers(&m.q_rad[..n]).numbers(&m.tau_nm[..n]).done();
+            });
+        })
     }
+
     /// Records a smoothed sample.
     ///
     /// # Errors
-    /// Writing failed.
-    pub fn smoothed(&mut self, _m: &JointSmoothed) -> Result<(), RecorderError> {
-        Ok(())
+    /// As [`Recorder::measured`].
+    pub fn smoothed(&mut self, m: &JointSmoothed) -> Result<(), WriteError> {
+        let n = self.joints;
+        self.record(Stream::Smoothed, &m.header, |topics, batch| {
+            topics.write(Topics::SMOOTHED, batch, &m.header, |slots| {
+                slots.numbers(&m.q_rad[..n]).numbers(&m.qd_rad_s[..n]).done();
+            });
+            topics.write(Topics::SMOOTHED_DETAIL, batch, &m.header, |slots| {
+                slots
+                    .numbers(&m.qdd_rad_s2[..n])
+                    .numbers(&m.sd_q_rad[..n])
+                    .numbers(&m.sd_qd_rad_s[..n])
+                    .numbers(&m.sd_qdd_rad_s2[..n])
+                    .done();
+            });
+        })
     }
+
     /// Records model torques.
     ///
     /// # Errors
-    /// Writing failed.
-    pub fn torque(&mut self, _m: &TorqueModel) -> Result<(), RecorderError> {
-        Ok(())
+    /// As [`Recorder::measured`].
+    pub fn torque(&mut self, m: &TorqueModel) -> Result<(), WriteError> {
+        let n = self.joints;
+        self.record(Stream::Torque, &m.header, |topics, batch| {
+            topics.write(Topics::TORQUE_NOMINAL, batch, &m.header, |s| s.numbers(&m.tau_nominal_nm[..n]).done());
+            topics.write(Topics::TORQUE_RIGID, batch, &m.header, |s| s.numbers(&m.tau_rigid_nm[..n]).done());
+        })
     }
+
     /// Records friction torques.
     ///
     /// # Errors
-    /// Writing failed.
-    pub fn friction(&mut self, _m: &FrictionTorque) -> Result<(), RecorderError> {
-        Ok(())
+    /// As [`Recorder::measured`].
+    pub fn friction(&mut self, m: &FrictionTorque) -> Result<(), WriteError> {
+        let n = self.joints;
+        self.record(Stream::Friction, &m.header, |topics, batch| {
+            topics.write(Topics::FRICTION, batch, &m.header, |s| s.numbers(&m.tau_friction_nm[..n]).done());
+        })
     }
-    /// Records a payload estimate.
+
+    /// Records a payload estimate and the residuals.
     ///
     /// # Errors
-    /// Writing failed.
-    pub fn payload(&mut self, _m: &PayloadEstimate) -> Result<(), RecorderError> {
-        Ok(())
+    /// As [`Recorder::measured`].
+    pub fn payload(&mut self, m: &PayloadEstimate) -> Result<(), WriteError> {
+        let n = self.joints;
+        self.record(Stream::Payload, &m.header, |topics, batch| {
+            topics.write(Topics::RESIDUAL, batch, &m.header, |s| s.numbers(&m.residual_nm[..n]).done());
+            let after = &m.residual_payload_nm[..n];
+            topics.write(Topics::RESIDUAL_PAYLOAD, batch, &m.header, |s| s.numbers(after).done());
+            topics.write(Topics::PAYLOAD, batch, &m.header, |slots| {
+                slots
+                    .bytes(&m.mass_kg.to_le_bytes())
+                    .bytes(&m.sd_mass_kg.to_le_bytes())
+                    .bytes(&[u8::from(!m.header.has(flag::NOT_EXCITED))])
+                    .bytes(&[u8::from(m.header.has(flag::PAYLOAD_STEP))])
+                    .done();
+            });
+        })
     }
-    /// Completes the file: summary, counts and the mark `complete`.
+
+    fn record(
+        &mut self,
+        stream: Stream,
+        header: &Header,
+        write: impl FnOnce(&Topics, &mut MessageBatch<'_>),
+    ) -> Result<(), WriteError> {
+        if header.has(flag::END_OF_STREAM) {
+            return Ok(());
+        }
+        if !self.topics.holds(stream) {
+            let what = format!("found a sample of stream {}, which was not announced", stream.name());
+            return Err(BadInput::new(what).into());
+        }
+        self.sequences.saw(stream, header.seq);
+        let mut batch = self.writer.batch();
+        write(&self.topics, &mut batch);
+        self.topics.status(stream, &mut batch, header);
+        if batch.end() { Ok(()) } else { Err(self.writer.failure()) }
+    }
+
+    /// Counts so far; messages per topic are known only to [`Recorder::finish`].
+    pub fn counts(&self) -> Counts {
+        self.sequences.counts(self.writer.dropped())
+    }
+
+    /// Completes the file: what is left, a metadata record `lacuna.end` with the counts and `complete = true`,
+    /// the index, the end mark; and the bag folder's `metadata.yaml`.
     ///
     /// # Errors
-    /// Writing failed.
-    pub fn finish(self) -> Result<Counts, RecorderError> {
-        Ok(Counts::default())
+    /// As [`Recorder::measured`]. A recording whose `finish` failed does not count as complete.
+    pub fn finish(mut self) -> Result<Counts, WriteError> {
+        let mut counts = self.counts();
+        self.writer.metadata("lacuna.end", &counts.facts())?;
+        let finished = self.writer.finish()?;
+        counts.messages = self.topics.named(&finished);
+        if let Some((folder, file)) = &self.bag {
+            write_bag_metadata(folder, file, &self.topics, &finished)?;
+        }
+        Ok(counts)
     }
 }
+
+fn write_bag_metadata(
+    folder: &std::path::Path,
+    file: &str,
+    topics: &Topics,
+    finished: &Finished,
+) -> Result<(), WriteError> {
+    let (start, end) = finished.times.unwrap_or((0, 0));
+    let text = lacuna_recording::ros::bag::metadata_yaml(file, start, end, &topics.bag_topics(finished));
+    let path = folder.join("metadata.yaml");
+    std::fs::write(&path, text).map_err(|source| WriteError::Io { path, action: "written", source })
+}
+
+/// Facts as a metadata record holds them.
+type Facts = BTreeMap<String, String>;

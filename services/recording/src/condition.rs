@@ -127,10 +127,8 @@ impl Conditioner {
 
     /// What was repaired, with empty file names; only what occurred.
     pub(crate) fn repairs(&self) -> Vec<Repair> {
-        let mut all = vec![
-            repair(RepairKind::DuplicateStamp, "t", self.duplicates),
-            repair(RepairKind::Gap, "t", self.gaps),
-        ];
+        let mut all =
+            vec![repair(RepairKind::DuplicateStamp, "t", self.duplicates), repair(RepairKind::Gap, "t", self.gaps)];
         for j in 0..self.joints {
             all.push(repair(RepairKind::Unwrapped, &format!("q{}", j + 1), self.q.count[j]));
             all.push(repair(RepairKind::Unwrapped, &format!("link_q{}", j + 1), self.link_q.count[j]));
@@ -252,8 +250,10 @@ mod tests {
     use super::*;
 
     fn robot() -> RobotFile {
-        RobotFile::parse("kind = \"serial\"\nname = \"r\"\njoints = [\"a\", \"b\"]\n[[dh]]\n[[dh]]\njoint = \"prismatic\"\n")
-            .unwrap()
+        RobotFile::parse(
+            "kind = \"serial\"\nname = \"r\"\njoints = [\"a\", \"b\"]\n[[dh]]\n[[dh]]\njoint = \"prismatic\"\n",
+        )
+        .unwrap()
     }
 
     fn sample(stamp_ns: i64, q: [f64; 2]) -> JointMeasured {
@@ -310,7 +310,13 @@ mod tests {
         let mut flagged = Vec::new();
         for k in 0..400 {
             // 1 kHz with one gap, then 50 Hz: the first slow intervals look like gaps, then the rate is known.
-            t += if k == 100 { 50_000_000 } else if k < 200 { 1_000_000 } else { 20_000_000 };
+            t += if k == 100 {
+                50_000_000
+            } else if k < 200 {
+                1_000_000
+            } else {
+                20_000_000
+            };
             let mut m = sample(t, [0.0; 2]);
             c.judge(&mut m).unwrap();
             if m.header.has(flag::GAP) {

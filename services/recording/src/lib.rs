@@ -3,16 +3,22 @@
 //!
 //! - [`open`] and [`read_all`] read any format of the registry in [`formats`]; all formats pass the same
 //!   judgement ([`condition`]): what cannot be used is an error with its place, what is repaired is counted.
+//! - [`container::Writer`] and [`topics`] write MCAP that ROS 2 tools and viewers open as it is, and that a
+//!   crash cuts at most half a second short; [`recover`] completes what a crash left.
 //! - [`load_robot`], [`load_model`], [`load_graph`] read the TOML files.
 //!
-//! Libraries stay free of clocks and of the bus: nothing here knows a process or a topic of shared memory.
+//! Nothing here knows the bus.
 
 pub mod condition;
+pub mod container;
 pub mod files;
 pub mod formats;
 mod reader;
+pub mod ros;
 mod sample;
+pub mod topics;
 
+pub use container::{Recovered, recover};
 pub use files::{LoadedRobot, load_graph, load_model, load_robot};
 pub use reader::{EPOCH_FROM_S, MAX_VALUES, ReadOptions, Reader, TimeSource, open, open_with, read_all, read_all_with};
 pub use sample::{About, RawReader, Sample};

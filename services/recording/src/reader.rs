@@ -200,8 +200,10 @@ pub fn read_all_with(path: impl AsRef<Path>, robot: &RobotFile, options: &ReadOp
     while let Some(sample) = reader.next_sample()? {
         if stamps_ns.len().saturating_mul(width) >= MAX_VALUES {
             let most = MAX_VALUES / width;
-            return Err(BadInput::new(format!("found more than {most} samples; expected fewer, or a streaming command"))
-                .in_file(&reader.path));
+            return Err(BadInput::new(format!(
+                "found more than {most} samples; expected fewer, or a streaming command"
+            ))
+            .in_file(&reader.path));
         }
         stamps_ns.push(sample.measured.header.stamp_ns);
         for j in 0..n {

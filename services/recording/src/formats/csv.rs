@@ -198,9 +198,7 @@ impl Columns {
     /// A column that the robot file names.
     fn named(&self, name: &str) -> Result<usize, BadInput> {
         self.at(name).ok_or_else(|| {
-            BadInput::new(format!(
-                "found no column \"{name}\"; expected it, since the robot file's [columns] names it"
-            ))
+            BadInput::new(format!("found no column \"{name}\"; expected it, since the robot file's [columns] names it"))
         })
     }
 

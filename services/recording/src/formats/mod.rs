@@ -53,7 +53,9 @@ pub fn detect(path: &Path, first_bytes: &[u8]) -> Result<&'static Format, BadInp
     // A signature outranks the name: an .mcap without one is not an MCAP file, whatever it is called.
     match by_name {
         Some(format) if format.name != mcap::FORMAT.name => Ok(format),
-        Some(_) => Err(BadInput::new("found no MCAP signature in the first bytes; expected an MCAP file").in_file(path)),
+        Some(_) => {
+            Err(BadInput::new("found no MCAP signature in the first bytes; expected an MCAP file").in_file(path))
+        }
         None => {
             let found = if first_bytes.starts_with(b"#ROSBAG") {
                 "a ROS 1 bag".to_owned()

@@ -1,0 +1,227 @@
+//! Streams, their topics and their counts.
+
+use crate::{Facts, Run, WriteError};
+use lacuna_interfaces::Header;
+use lacuna_recording::container::{ChannelId, Finished, MessageBatch, Writer};
+use lacuna_recording::ros::bag;
+use lacuna_recording::ros::cdr::Filler;
+use lacuna_recording::ros::schema;
+use lacuna_recording::topics::{Has, StatusTopic, Topic};
+use std::collections::BTreeMap;
+
+/// Messages that can be recorded, in the order of the graph.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Stream {
+    /// [`lacuna_interfaces::JointMeasured`].
+    Measured,
+    /// [`lacuna_interfaces::JointSmoothed`].
+    Smoothed,
+    /// [`lacuna_interfaces::TorqueModel`].
+    Torque,
+    /// [`lacuna_interfaces::FrictionTorque`].
+    Friction,
+    /// [`lacuna_interfaces::PayloadEstimate`].
+    Payload,
+}
+
+impl Stream {
+    /// All, in order.
+    pub const ALL: [Self; 5] = [Self::Measured, Self::Smoothed, Self::Torque, Self::Friction, Self::Payload];
+
+    /// Name in metadata.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Measured => "measured",
+            Self::Smoothed => "smoothed",
+            Self::Torque => "torque",
+            Self::Friction => "friction",
+            Self::Payload => "payload",
+        }
+    }
+}
+
+/// What was recorded.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Samples taken per stream.
+    pub samples: BTreeMap<Stream, u64>,
+    /// Sequence numbers that never came, per stream (only streams that miss any).
+    pub missing: BTreeMap<Stream, u64>,
+    /// Sequence numbers that came again or out of order, per stream (only streams with any).
+    pub repeated: BTreeMap<Stream, u64>,
+    /// Messages in the file, per topic.
+    pub messages: BTreeMap<String, u64>,
+    /// Messages dropped because the disk was too slow (live only).
+    pub dropped: u64,
+}
+
+impl Counts {
+    /// True if nothing is missing, repeated or dropped.
+    pub fn lossless(&self) -> bool {
+        self.missing.is_empty() && self.repeated.is_empty() && self.dropped == 0
+    }
+
+    pub(crate) fn facts(&self) -> Facts {
+        let mut facts = Facts::new();
+        facts.insert("complete".to_owned(), "true".to_owned());
+        facts.insert("lossless".to_owned(), self.lossless().to_string());
+        facts.insert("dropped".to_owned(), self.dropped.to_string());
+        for (what, list) in [("samples", &self.samples), ("missing", &self.missing), ("repeated", &self.repeated)] {
+            for (stream, count) in list {
+                facts.insert(format!("{what}.{}", stream.name()), count.to_string());
+            }
+        }
+        facts
+    }
+}
+
+/// Sequence check of each stream.
+#[derive(Debug, Default)]
+pub(crate) struct Sequences {
+    seen: [Seen; Stream::ALL.len()],
+}
+
+#[derive(Debug, Default, Clone, Copy)]
+struct Seen {
+    last: u64,
+    samples: u64,
+    missing: u64,
+    repeated: u64,
+}
+
+impl Sequences {
+    /// Takes note of a sample; the first of a stream should be number 1.
+    pub(crate) fn saw(&mut self, stream: Stream, seq: u64) {
+        let seen = &mut self.seen[stream as usize];
+        seen.samples += 1;
+        if seq > seen.last {
+            seen.missing += seq - seen.last - 1;
+            seen.last = seq;
+        } else {
+            seen.repeated += 1;
+        }
+    }
+
+    pub(crate) fn counts(&self, dropped: u64) -> Counts {
+        let list = |of: fn(&Seen) -> u64| {
+            Stream::ALL.into_iter().zip(self.seen.iter().map(of)).filter(|(_, n)| *n > 0).collect()
+        };
+        Counts {
+            samples: list(|s| s.samples),
+            missing: list(|s| s.missing),
+            repeated: list(|s| s.repeated),
+            messages: BTreeMap::new(),
+            dropped,
+        }
+    }
+}
+
+/// The recording's topics; those of streams that do not come are absent.
+#[derive(Debug)]
+pub(crate) struct Topics {
+    list: [Option<Topic>; NAMES.len()],
+    status: Option<(Stream, StatusTopic)>,
+}
+
+/// Topic names in the order of the constants of [`Topics`], with the stream they belong to and their type.
+const NAMES: [(Stream, &str, &str); 10] = [
+    (Stream::Measured, "/measured/detail", schema::MEASURED_DETAIL.name),
+    (Stream::Measured, "/measured", schema::JOINT_STATE.name),
+    (Stream::Smoothed, "/smoothed", schema::JOINT_STATE.name),
+    (Stream::Smoothed, "/smoothed/detail", schema::MOTION_DETAIL.name),
+    (Stream::Torque, "/torque/nominal", schema::JOINT_STATE.name),
+    (Stream::Torque, "/torque/rigid", schema::JOINT_STATE.name),
+    (Stream::Friction, "/friction", schema::JOINT_STATE.name),
+    (Stream::Payload, "/residual", schema::JOINT_STATE.name),
+    (Stream::Payload, "/residual_payload", schema::JOINT_STATE.name),
+    (Stream::Payload, "/payload", schema::PAYLOAD.name),
+];
+const STATUS: &str = "/status";
+
+impl Topics {
+    pub(crate) const MEASURED_DETAIL: usize = 0;
+    pub(crate) const MEASURED: usize = 1;
+    pub(crate) const SMOOTHED: usize = 2;
+    pub(crate) const SMOOTHED_DETAIL: usize = 3;
+    pub(crate) const TORQUE_NOMINAL: usize = 4;
+    pub(crate) const TORQUE_RIGID: usize = 5;
+    pub(crate) const FRICTION: usize = 6;
+    pub(crate) const RESIDUAL: usize = 7;
+    pub(crate) const RESIDUAL_PAYLOAD: usize = 8;
+    pub(crate) const PAYLOAD: usize = 9;
+
+    pub(crate) fn declare(writer: &mut Writer, run: &Run<'_>) -> Result<Self, WriteError> {
+        let joints = &run.robot.joints;
+        let mut list = [const { None }; NAMES.len()];
+        for (i, slot) in list.iter_mut().enumerate() {
+            let (stream, name, _) = NAMES[i];
+            if !run.streams.contains(&stream) {
+                continue;
+            }
+            let has = |position, velocity, effort| Has { position, velocity, effort };
+            *slot = Some(match i {
+                Self::MEASURED_DETAIL => Topic::measured_detail(writer, name, joints)?,
+                Self::SMOOTHED_DETAIL => Topic::motion_detail(writer, name, joints)?,
+                Self::PAYLOAD => Topic::payload(writer, name)?,
+                Self::MEASURED => Topic::joint_state(writer, name, joints, has(true, false, true))?,
+                Self::SMOOTHED => Topic::joint_state(writer, name, joints, has(true, true, false))?,
+                _ => Topic::joint_state(writer, name, joints, has(false, false, true))?,
+            });
+        }
+        let status = match run.streams.iter().max() {
+            Some(&last) => Some((last, StatusTopic::new(writer, STATUS)?)),
+            None => None,
+        };
+        Ok(Self { list, status })
+    }
+
+    /// Whether a stream's topics were declared.
+    pub(crate) fn holds(&self, stream: Stream) -> bool {
+        NAMES.iter().zip(&self.list).any(|((of, ..), topic)| *of == stream && topic.is_some())
+    }
+
+    /// Writes to a topic, if it is recorded.
+    #[inline]
+    pub(crate) fn write(
+        &self,
+        topic: usize,
+        batch: &mut MessageBatch<'_>,
+        header: &Header,
+        fill: impl FnOnce(Filler<'_>),
+    ) {
+        if let Some(Some(topic)) = self.list.get(topic) {
+            topic.write(batch, header, fill);
+        }
+    }
+
+    /// Writes the status of a sample of the last stream.
+    pub(crate) fn status(&self, stream: Stream, batch: &mut MessageBatch<'_>, header: &Header) {
+        if let Some((last, topic)) = &self.status
+            && *last == stream
+        {
+            topic.write(batch, header);
+        }
+    }
+
+    fn channels(&self) -> impl Iterator<Item = (&'static str, &'static str, ChannelId)> {
+        let typed = NAMES.iter().zip(&self.list);
+        let listed = typed.filter_map(|((_, name, kind), topic)| Some((*name, *kind, topic.as_ref()?.channel())));
+        listed.chain(self.status.iter().map(|(_, topic)| (STATUS, schema::STATUS.name, topic.channel())))
+    }
+
+    /// Messages in the file by topic.
+    pub(crate) fn named(&self, finished: &Finished) -> BTreeMap<String, u64> {
+        let count = |id| finished.messages.get(&id).copied().unwrap_or(0);
+        self.channels().map(|(name, _, id)| (name.to_owned(), count(id))).collect()
+    }
+
+    pub(crate) fn bag_topics(&self, finished: &Finished) -> Vec<bag::Topic> {
+        let count = |id| finished.messages.get(&id).copied().unwrap_or(0);
+        let topic = |(name, kind, id): (&str, &str, ChannelId)| bag::Topic {
+            name: name.to_owned(),
+            kind: kind.to_owned(),
+            count: count(id),
+        };
+        self.channels().map(topic).collect()
+    }
+}

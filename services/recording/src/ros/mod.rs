@@ -1,0 +1,5 @@
+//! ROS 2 messages without ROS: their definitions, their CDR encoding, and the bag folder around a file.
+
+pub mod bag;
+pub mod cdr;
+pub mod schema;

@@ -11,7 +11,7 @@ fn spring(v: &Values<'_>, w: &mut World<'_>, half_gap: f64) -> Result<(), BadInp
     for &i in &v.joints {
         let inertia = w.scales.inertia[i];
         let joint = &mut w.truth.joints[i];
-        if !(joint.rotor > 0.002 * inertia) {
+        if joint.rotor <= 0.002 * inertia {
             return Err(BadInput::new(format!(
                 "{}: joint {} has a rotor inertia of {} kg m²; a transmission needs one, expected rotor_inertia above {:.1e}",
                 v.effect.id,

@@ -174,7 +174,7 @@ impl Delta {
         let x = (r1 * r1 - r2 * r2 + d * d) / (2.0 * d);
         let y = (r1 * r1 - r3 * r3 + i * i + j * j) / (2.0 * j) - i / j * x;
         let z2 = r1 * r1 - x * x - y * y;
-        if !(z2 > 0.0) {
+        if z2.is_nan() || z2 <= 0.0 {
             return Err(Unreachable);
         }
         let z = z2.sqrt();
@@ -189,7 +189,7 @@ impl Delta {
         let u = [0, 1, 2].map(|i| de[i] * self.arm[i].length);
         let cross = [s[1].cross(&s[2]), s[2].cross(&s[0]), s[0].cross(&s[1])];
         let det = s[0].dot(&cross[0]);
-        if !(det.abs() > 1e-12) {
+        if det.is_nan() || det.abs() <= 1e-12 {
             return Err(Unreachable);
         }
         let inverse = cross.map(|c| c / det);
@@ -322,7 +322,7 @@ impl Delta {
             let l1 = self.arm[i].length;
             let in_plane2 = self.forearm[i].length.powi(2) - out_of_plane2;
             let cosine = (l1 * l1 + reach2 - in_plane2) / (2.0 * l1 * reach2.sqrt());
-            if !(cosine.abs() <= 1.0) {
+            if cosine.is_nan() || cosine.abs() > 1.0 {
                 return Err(Unreachable);
             }
             // Angle of the target below the radial direction, less the triangle's angle: the outer knee.
@@ -346,7 +346,7 @@ impl Delta {
             let s = x - self.elbow(i, &e[i]);
             let u = de[i] * self.arm[i].length;
             let knee = s.dot(&u);
-            if !(knee.abs() > 1e-9) {
+            if knee.is_nan() || knee.abs() <= 1e-9 {
                 return Err(Unreachable);
             }
             qd[i] = s.dot(xd) / knee;

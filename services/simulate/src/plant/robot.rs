@@ -335,7 +335,7 @@ impl TrueRobot {
         let mut diagonal = Joints::default();
         for (i, joint) in self.joints.iter().enumerate() {
             diagonal[i] = d.inertia[i][i] + joint.rotor;
-            if !(diagonal[i] > 0.0) {
+            if diagonal[i].is_nan() || diagonal[i] <= 0.0 {
                 return Err(BadInput::new(format!(
                     "joint {}: found no inertia (links without mass and no rotor_inertia); a simulation needs [[link]] tables or a URDF with inertials",
                     i + 1

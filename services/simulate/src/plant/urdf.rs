@@ -5,6 +5,9 @@ use lacuna_interfaces::BadInput;
 use nalgebra::{Isometry3, Matrix3, Vector3};
 use roxmltree::{Document, Node};
 
+/// Links that may hang on each other one behind the other.
+const MAX_DEPTH: usize = 64;
+
 type Found<'a, 'd> = Option<Node<'a, 'd>>;
 
 /// Builds the chain through the joints named `names`; also the rotor inertias (zero: URDF has none).
@@ -40,7 +43,12 @@ pub fn chain(text: &str, names: &[String]) -> Result<(Serial, Vec<f64>), BadInpu
         let stop = parent_joint.map(|j| link_name(j, "child")).transpose()?;
         let mut place = origin(joint)?;
         let mut at = link_name(joint, "parent")?;
+        let mut hops = 0;
         while stop != Some(at) {
+            hops += 1;
+            if hops > MAX_DEPTH {
+                return Err(circle(at));
+            }
             let Some(above) = parent_of(&joints, at) else {
                 if stop.is_none() {
                     break;
@@ -62,6 +70,10 @@ pub fn chain(text: &str, names: &[String]) -> Result<(Serial, Vec<f64>), BadInpu
 
 fn parent_of<'a, 'd>(joints: &[Node<'a, 'd>], link: &str) -> Found<'a, 'd> {
     joints.iter().find(|j| link_name(**j, "child").ok() == Some(link)).copied()
+}
+
+fn circle(link: &str) -> BadInput {
+    BadInput::new(format!("URDF: links hang on each other in a circle at \"{link}\"; expected a tree"))
 }
 
 fn child<'a, 'd>(node: Node<'a, 'd>, tag: &str) -> Found<'a, 'd> {
@@ -102,8 +114,8 @@ fn axis(joint: Node) -> Result<Vector3<f64>, BadInput> {
 
 /// The link's body with every body that hangs on it by joints the robot file does not move.
 fn merged_body(robot: Node, joints: &[Node], name: &str, moved: &[String], depth: usize) -> Result<Body, BadInput> {
-    if depth > 64 {
-        return Err(BadInput::new(format!("URDF: links hang on each other in a circle at \"{name}\"")));
+    if depth > MAX_DEPTH {
+        return Err(circle(name));
     }
     let link = robot
         .children()

@@ -26,7 +26,9 @@ impl Sampled {
                 q_rad.len()
             )));
         }
-        if let Some(k) = t_s.windows(2).position(|w| !(w[1] > w[0])) {
+        if let Some(k) =
+            t_s.windows(2).position(|w| !matches!(w[1].partial_cmp(&w[0]), Some(std::cmp::Ordering::Greater)))
+        {
             return Err(BadInput::new(format!("reference: time does not rise at sample {}", k + 2)));
         }
         for (i, q) in q_rad.iter().enumerate() {

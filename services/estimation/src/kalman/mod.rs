@@ -29,6 +29,17 @@
 //! **Start.** Nothing is assumed of the first state: the first N samples are fused in information form with
 //! priors of [`PRIOR_SD`], far beyond any robot, so there is no large covariance to cancel digits.
 
+mod gain;
+mod likelihood;
+mod offline;
+mod small;
+mod stream;
+mod window;
+
+pub use likelihood::{NoiseEstimate, estimate_noise, log_likelihood};
+pub use offline::{smooth, smooth_blocks};
+pub use stream::{FixedLag, LagEstimate};
+
 use crate::error::{EstimationError, positive};
 use serde::{Deserialize, Serialize};
 

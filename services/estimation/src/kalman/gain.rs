@@ -1,0 +1,382 @@
+//! From a time step to the numbers of filter and smoother. Nothing here sees a measurement: joints of equal
+//! noise share one [`Gains`], and steps that repeat share one [`Step`].
+
+use super::small::{
+    Matrix, Vector, apply, cholesky, congruence, congruence_plus, identity, inverse, product, right_divide,
+    symmetrised, transposed,
+};
+use super::{CovarianceUpdate, Noise, Settings};
+
+/// Largest change of P between two equal steps, relative to its diagonal, that counts as converged.
+const CONVERGED: f64 = 1e-12;
+/// P this close to the converged one is taken for it.
+const BACK_AT_STEADY: f64 = 1e-11;
+/// Smallest relative Cholesky pivot at which the information of the first samples is inverted.
+const DETERMINED: f64 = 1e-9;
+
+/// F(dt): F_ij = dt^(j−i)/(j−i)!.
+pub(super) fn transition<const N: usize>(dt: f64) -> Matrix<N> {
+    let mut f = [[0.0; N]; N];
+    for i in 0..N {
+        let mut term = 1.0;
+        for j in i..N {
+            f[i][j] = term;
+            term *= dt / (j - i + 1) as f64;
+        }
+    }
+    f
+}
+
+/// F(dt) x without the matrix: Taylor's polynomial of each derivative.
+#[inline(always)]
+pub(super) fn carried<const N: usize>(x: &Vector<N>, dt: f64) -> Vector<N> {
+    let mut y = *x;
+    for i in 0..N {
+        let mut sum = x[N - 1];
+        for j in (i..N - 1).rev() {
+            sum = x[j] + sum * (dt / (j - i + 1) as f64);
+        }
+        y[i] = sum;
+    }
+    y
+}
+
+/// Q(dt) for intensity q.
+pub(super) fn process_covariance<const N: usize>(q: f64, dt: f64) -> Matrix<N> {
+    let factorial = |n: usize| (1..=n).map(|v| v as f64).product::<f64>();
+    std::array::from_fn(|i| {
+        std::array::from_fn(|j| {
+            let power = 2 * N - 1 - i - j;
+            q * dt.powi(power as i32) / (factorial(N - 1 - i) * factorial(N - 1 - j) * power as f64)
+        })
+    })
+}
+
+/// What the smoother needs of the step k → k + 1: x_k given all = a_k + C x_{k+1}, P_k = A + C P_{k+1} Cᵀ.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Back<const N: usize> {
+    /// Smoother gain C.
+    pub c: Matrix<N>,
+    /// Covariance A of x_k if x_{k+1} were known.
+    pub a: Matrix<N>,
+}
+
+/// What the filter needs of the step k → k + 1.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Forward<const N: usize> {
+    /// x ← F x + K (z − θ⁻), with the innovation's variance S.
+    Gain { k: Vector<N>, s: f64 },
+    /// First samples: a_k = A η, η ← `map` η + Hᵀ z/r; then, if the state is determined, x = `ready` η.
+    Information { map: Matrix<N>, ready: Option<Matrix<N>> },
+}
+
+/// Everything about a step that does not depend on the data.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Step<const N: usize> {
+    pub back: Back<N>,
+    pub forward: Forward<N>,
+}
+
+/// What is known at the newest sample.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Knowledge<const N: usize> {
+    /// Information matrix Λ of the first `samples`, singular at first.
+    Information { lambda: Matrix<N>, samples: usize },
+    /// Covariance P.
+    Covariance(Matrix<N>),
+}
+
+/// Which steps count as equal. One per smoother, for all joints.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Period {
+    tolerance: f64,
+    period: f64,
+    last: f64,
+}
+
+impl Period {
+    pub fn new(settings: &Settings) -> Self {
+        let tolerance = if settings.steady_state { settings.period_tolerance } else { -1.0 };
+        Self { tolerance, period: f64::NAN, last: f64::NAN }
+    }
+
+    /// The step whose gains `dt` uses, and whether it is the period's. Two equal steps make a new period.
+    #[inline]
+    pub fn classify(&mut self, dt: f64) -> (f64, bool) {
+        let near = |reference: f64| (dt - reference).abs() <= self.tolerance * reference;
+        if near(self.period) {
+            self.last = dt;
+            return (self.period, true);
+        }
+        let repeated = near(self.last);
+        self.last = dt;
+        if repeated {
+            self.period = dt;
+        }
+        (dt, repeated)
+    }
+}
+
+/// The covariance recursion of all joints of one noise.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Gains<const N: usize> {
+    q: f64,
+    r: f64,
+    update: CovarianceUpdate,
+    knowledge: Knowledge<N>,
+    /// The newest step.
+    step: Step<N>,
+    /// Converged step for `steady_dt`, with its covariance.
+    steady: Option<(Step<N>, Matrix<N>)>,
+    steady_dt: f64,
+    /// True while `step` is the converged one.
+    at_steady: bool,
+    /// Counts the converged steps found.
+    steady_version: u64,
+}
+
+impl<const N: usize> Gains<N> {
+    pub fn new(noise: Noise, update: CovarianceUpdate) -> Self {
+        let nothing =
+            Step { back: Back { c: [[0.0; N]; N], a: [[0.0; N]; N] }, forward: Forward::Gain { k: [0.0; N], s: 1.0 } };
+        let r = noise.measurement_sd * noise.measurement_sd;
+        let mut gains = Self {
+            q: noise.process,
+            r,
+            update,
+            knowledge: Knowledge::Information { lambda: [[0.0; N]; N], samples: 0 },
+            step: nothing,
+            steady: None,
+            steady_dt: f64::NAN,
+            at_steady: false,
+            steady_version: 0,
+        };
+        gains.start();
+        gains
+    }
+
+    /// The first sample of a stretch: only its position is known.
+    pub fn start(&mut self) {
+        let mut lambda = [[0.0; N]; N];
+        lambda[0][0] = 1.0 / self.r;
+        self.knowledge = Knowledge::Information { lambda, samples: 1 };
+        self.at_steady = false;
+    }
+
+    /// Measurement variance r.
+    pub fn r(&self) -> f64 {
+        self.r
+    }
+
+    /// Covariance P of the newest filtered state; `None` while the first samples do not determine it.
+    pub fn covariance(&self) -> Option<&Matrix<N>> {
+        match &self.knowledge {
+            Knowledge::Covariance(p) => Some(p),
+            Knowledge::Information { .. } => None,
+        }
+    }
+
+    /// True while steps repeat and the newest step is the converged one.
+    pub fn at_steady(&self) -> bool {
+        self.at_steady
+    }
+
+    /// Changes whenever another step becomes the converged one.
+    pub fn steady_version(&self) -> u64 {
+        self.steady_version
+    }
+
+    /// The newest step.
+    pub fn step(&self) -> &Step<N> {
+        &self.step
+    }
+
+    /// Goes on by `dt` (as classified by [`Period`]) and returns the step's numbers.
+    #[inline]
+    pub fn advance(&mut self, (dt, regular): (f64, bool)) -> &Step<N> {
+        if !(self.at_steady && regular && dt == self.steady_dt) {
+            self.advance_exactly(dt, regular);
+        }
+        &self.step
+    }
+
+    fn advance_exactly(&mut self, dt: f64, regular: bool) {
+        let f = transition::<N>(dt);
+        let q = process_covariance::<N>(self.q, dt);
+        self.at_steady = false;
+        let p = match self.knowledge {
+            Knowledge::Information { lambda, samples } => {
+                self.information_step(&lambda, samples, dt, &q);
+                return;
+            }
+            Knowledge::Covariance(p) => p,
+        };
+        let next = self.covariance_step(&p, &f, &q);
+        self.knowledge = Knowledge::Covariance(next);
+        if !regular {
+            return;
+        }
+        if dt != self.steady_dt {
+            self.steady = None;
+            self.steady_dt = dt;
+        }
+        match &self.steady {
+            Some((step, converged)) if close(&next, converged, BACK_AT_STEADY) => {
+                self.knowledge = Knowledge::Covariance(*converged);
+                self.step = *step;
+                self.at_steady = true;
+            }
+            None if close(&next, &p, CONVERGED) => {
+                self.steady = Some((self.step, next));
+                self.steady_version += 1;
+                self.at_steady = true;
+            }
+            _ => {}
+        }
+    }
+
+    /// One exact step of filter and smoother gain; returns the new P.
+    fn covariance_step(&mut self, p: &Matrix<N>, f: &Matrix<N>, q: &Matrix<N>) -> Matrix<N> {
+        let predicted = congruence_plus(f, p, q);
+        let pft = product(p, &transposed(f));
+        // P⁻ ≥ Q > 0; should rounding ever deny it, the smoother learns nothing from the future here.
+        let c = cholesky(&predicted, 0.0).map_or([[0.0; N]; N], |l| right_divide(&pft, &l));
+        let s = predicted[0][0] + self.r;
+        let k: Vector<N> = std::array::from_fn(|i| predicted[i][0] / s);
+        let mut next = predicted;
+        let a = match self.update {
+            CovarianceUpdate::Joseph => {
+                let mut keep = identity::<N>();
+                for i in 0..N {
+                    keep[i][0] -= k[i];
+                }
+                // 1 − K_0 = r/S, without the cancellation.
+                keep[0][0] = self.r / s;
+                let gained: Matrix<N> = std::array::from_fn(|i| std::array::from_fn(|j| k[i] * k[j] * self.r));
+                next = congruence_plus(&keep, &predicted, &gained);
+                let cf = product(&c, f);
+                let mut rest = identity::<N>();
+                for i in 0..N {
+                    for j in 0..N {
+                        rest[i][j] -= cf[i][j];
+                    }
+                }
+                congruence_plus(&rest, p, &congruence(&c, q))
+            }
+            CovarianceUpdate::Subtractive => {
+                for i in 0..N {
+                    for j in i..N {
+                        next[i][j] = predicted[i][j] - k[i] * k[j] * s;
+                        next[j][i] = next[i][j];
+                    }
+                }
+                let explained = congruence(&c, &predicted);
+                std::array::from_fn(|i| std::array::from_fn(|j| p[i][j] - explained[i][j]))
+            }
+        };
+        self.step = Step { back: Back { c, a }, forward: Forward::Gain { k, s } };
+        next
+    }
+
+    /// One step in information form, in which an unknown state is Λ = 0 and not a large number. With
+    /// Λ' = F⁻ᵀΛF⁻¹ and W = (I + Λ'Q)⁻¹: Λ⁻ = WΛ', η⁻ = W F⁻ᵀ η, C = F⁻¹Wᵀ, A = C Q F⁻ᵀ.
+    fn information_step(&mut self, lambda: &Matrix<N>, samples: usize, dt: f64, q: &Matrix<N>) {
+        let back = transition::<N>(-dt);
+        let back_t = transposed(&back);
+        let drifted = congruence(&back_t, lambda);
+        let w = diffusion_factor(&drifted, q);
+        let mut next = symmetrised(&product(&w, &drifted));
+        next[0][0] += 1.0 / self.r;
+        let c = product(&back, &transposed(&w));
+        let a = symmetrised(&product(&product(&c, q), &back_t));
+        let samples = samples + 1;
+        let ready = if samples >= N { cholesky(&next, DETERMINED) } else { None };
+        let ready = ready.map(|l| symmetrised(&right_divide(&identity(), &l)));
+        self.knowledge = match ready {
+            Some(p) => Knowledge::Covariance(p),
+            None => Knowledge::Information { lambda: next, samples },
+        };
+        self.step = Step { back: Back { c, a }, forward: Forward::Information { map: product(&w, &back_t), ready } };
+    }
+}
+
+/// W = (I + Λ'Q)⁻¹, solved in units in which Q has a unit diagonal.
+fn diffusion_factor<const N: usize>(drifted: &Matrix<N>, q: &Matrix<N>) -> Matrix<N> {
+    let e: Vector<N> = std::array::from_fn(|i| q[i][i].sqrt());
+    let mut m = [[0.0; N]; N];
+    for i in 0..N {
+        for j in 0..N {
+            m[i][j] = f64::from(u8::from(i == j));
+            for k in 0..N {
+                m[i][j] += e[i] * drifted[i][k] * e[k] * (q[k][j] / (e[k] * e[j]));
+            }
+        }
+    }
+    // The eigenvalues of I + Λ'Q are 1 or more, so there is an inverse.
+    let w = inverse(&m).unwrap_or_else(identity);
+    std::array::from_fn(|i| std::array::from_fn(|j| w[i][j] * e[j] / e[i]))
+}
+
+/// True if two covariances agree to `tolerance` of their standard deviations' products.
+fn close<const N: usize>(a: &Matrix<N>, b: &Matrix<N>, tolerance: f64) -> bool {
+    (0..N).all(|i| (i..N).all(|j| (a[i][j] - b[i][j]).abs() <= tolerance * (b[i][i] * b[j][j]).sqrt()))
+}
+
+/// A joint's filtered state: x, or η with the position measured from `origin` while it is not determined.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Mean<const N: usize> {
+    pub x: Vector<N>,
+    pub origin: f64,
+}
+
+impl<const N: usize> Mean<N> {
+    /// At the first sample: measured from there, η = Hᵀ 0/r.
+    pub fn start(z: f64) -> Self {
+        Self { x: [0.0; N], origin: z }
+    }
+
+    /// Takes in measurement `z`, `dt` after the last; returns the smoother's a_k (of the sample before).
+    #[inline]
+    pub fn advance(&mut self, step: &Step<N>, dt: f64, z: f64, r: f64) -> Vector<N> {
+        match &step.forward {
+            Forward::Gain { k, .. } => {
+                let predicted = carried(&self.x, dt);
+                let drawn = apply(&step.back.c, &predicted);
+                let a = std::array::from_fn(|i| self.x[i] - drawn[i]);
+                let innovation = z - predicted[0];
+                self.x = std::array::from_fn(|i| predicted[i] + k[i] * innovation);
+                a
+            }
+            Forward::Information { map, ready } => {
+                let mut a = apply(&step.back.a, &self.x);
+                // From positions measured from the origin to absolute ones: x_k = a + C x_{k+1}.
+                for i in 0..N {
+                    a[i] += self.origin * (f64::from(u8::from(i == 0)) - step.back.c[i][0]);
+                }
+                self.x = apply(map, &self.x);
+                self.x[0] += (z - self.origin) / r;
+                if let Some(p) = ready {
+                    self.x = apply(p, &self.x);
+                    self.x[0] += self.origin;
+                }
+                a
+            }
+        }
+    }
+}
+
+/// Joints sorted by noise: the distinct noises' gains, and each joint's place among them.
+pub(super) fn grouped<const N: usize>(settings: &Settings) -> (Vec<Gains<N>>, Vec<usize>) {
+    let mut groups: Vec<Gains<N>> = Vec::new();
+    let mut distinct: Vec<Noise> = Vec::new();
+    let mut group_of = Vec::with_capacity(settings.noise.len());
+    for noise in &settings.noise {
+        let place = distinct.iter().position(|d| d == noise).unwrap_or_else(|| {
+            distinct.push(*noise);
+            groups.push(Gains::new(*noise, settings.update));
+            distinct.len() - 1
+        });
+        group_of.push(place);
+    }
+    (groups, group_of)
+}

@@ -1,1 +1,35 @@
-//! Placeholder.
+//! From recordings to a dynamic model that one can trust: parameters with intervals, an error on data that the fit has
+//! not seen, and warnings in words.
+//!
+//! ```text
+//! recordings ─ condition ─ rows (filtered regressor of the minimal set) ─ fit ─ held-out error, intervals ─ model.toml
+//! ```
+//!
+//! | module | does |
+//! |---|---|
+//! | [`condition`] | repair, regular sampling, filters, derivatives, masks (shared with the diagnosis) |
+//! | [`columns`], [`base`], [`rows`] | the linear model, its minimal identifiable set, its filtered rows |
+//! | [`fit`], [`delay`] | weighted robust fit with a covariance for correlated residuals; torque delay |
+//! | [`split`], [`evaluate`] | what is held out, and the error there |
+//! | [`paper`] | the founding paper's grid search and averages |
+//! | [`outcome`] | the files and the data of the report |
+
+mod account;
+pub mod base;
+pub mod columns;
+pub mod condition;
+pub mod delay;
+pub mod evaluate;
+pub mod fit;
+mod identify;
+pub mod outcome;
+pub mod paper;
+pub mod rows;
+pub mod split;
+mod warnings;
+
+pub use columns::Signal;
+pub use delay::Delay;
+pub use identify::{Method, Options, identify, identify_recordings};
+pub use outcome::{Identification, Outcome, ReportData, write};
+pub use split::{FileRange, Holdout};

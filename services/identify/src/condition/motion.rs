@@ -1,0 +1,85 @@
+//! Low-pass, derivatives and decimation of a regular stretch.
+
+use super::signals::{Regular, Sampling};
+use super::{ORDER, Plan, ROW_RATE, Saturation, Stretch, WORKING_RATE, mask};
+use lacuna_estimation::filter::{Stencil, ZeroPhase, differentiate};
+use lacuna_interfaces::{BadInput, RobotFile};
+
+/// Every how many recorded samples a working sample is taken.
+fn factor(plan: &Plan, sampling: &Sampling) -> usize {
+    ((sampling.rate_hz / (WORKING_RATE * plan.band_hz)) + 1e-9).floor().max(1.0) as usize
+}
+
+/// Shortest stretch that leaves rows [s].
+pub(super) fn shortest_s(plan: &Plan, sampling: &Sampling, cut_s: f64) -> f64 {
+    let working = factor(plan, sampling) as f64 / sampling.rate_hz;
+    // Twenty samples are what the filters' own padding needs; the rest is cut off again.
+    (2.0 * cut_s + 4.0 * working).max(20.0 * working)
+}
+
+/// The stretch's signals at the working rate; `None` if it is too short to leave rows.
+pub(super) fn stretch(
+    mut part: Regular,
+    robot: &RobotFile,
+    plan: &Plan,
+    sampling: &Sampling,
+    saturation: &[Option<Saturation>],
+    cut_s: f64,
+) -> Result<Option<Stretch>, BadInput> {
+    let rate = sampling.rate_hz;
+    let len = part.q.first().map_or(0, Vec::len);
+    if (len.max(1) - 1) as f64 / rate < shortest_s(plan, sampling, cut_s) {
+        return Ok(None);
+    }
+    let k = factor(plan, sampling);
+    let period_s = k as f64 / rate;
+    let enabled = robot.columns.enabled.as_ref().and_then(|name| part.extra.get(name));
+    // Interpolated between on and off is neither.
+    let usable: Vec<bool> = (0..len).map(|i| enabled.is_none_or(|e| e[i] >= 0.999)).collect();
+    let pad = (plan.reversal_s * rate).round() as usize;
+    let clipped: Vec<Vec<bool>> = part
+        .tau
+        .iter()
+        .enumerate()
+        .map(|(j, tau)| mask::clipped(tau, saturation.get(j).and_then(Option::as_ref), pad))
+        .collect();
+
+    let low_pass = ZeroPhase::butterworth(ORDER, plan.position_band_hz, rate)?;
+    let mut columns: Vec<&mut [f64]> = part.q.iter_mut().chain(part.tau.iter_mut()).map(Vec::as_mut_slice).collect();
+    low_pass.apply_columns(&mut columns)?;
+
+    let n = part.q.len();
+    let (mut qd, mut qdd, mut sign) = (Vec::with_capacity(n), Vec::with_capacity(n), Vec::with_capacity(n));
+    let (mut counted, mut fitted) = (Vec::with_capacity(n), Vec::with_capacity(n));
+    for (j, q) in part.q.iter().enumerate() {
+        let velocity = differentiate(q, 1.0 / rate, Stencil::Seven, 1)?;
+        let acceleration = differentiate(q, 1.0 / rate, Stencil::Seven, 2)?;
+        sign.push(mask::mean_sign(&velocity, plan.standstill_rad_s, k));
+        let (count, fit) = mask::moving(&velocity, &usable, &clipped[j], plan, rate);
+        counted.push(every(&count, k));
+        fitted.push(every(&fit, k));
+        qd.push(every(&velocity, k));
+        qdd.push(every(&acceleration, k));
+    }
+    let filter = ZeroPhase::butterworth(ORDER, plan.band_hz, rate / k as f64)?;
+    Ok(Some(Stretch {
+        start_s: part.start_s,
+        period_s,
+        q_rad: part.q.iter().map(|c| every(c, k)).collect(),
+        qd_rad_s: qd,
+        qdd_rad_s2: qdd,
+        sign,
+        tau_nm: part.tau.iter().map(|c| every(c, k)).collect(),
+        extra: part.extra.iter().map(|(name, c)| (name.clone(), every(c, k))).collect(),
+        usable: every(&usable, k),
+        counted,
+        fitted,
+        cut: (cut_s / period_s).ceil() as usize,
+        row_step: (1.0 / (ROW_RATE * plan.band_hz * period_s) + 1e-9).floor().max(1.0) as usize,
+        filter,
+    }))
+}
+
+fn every<T: Copy>(x: &[T], step: usize) -> Vec<T> {
+    x.iter().copied().step_by(step).collect()
+}

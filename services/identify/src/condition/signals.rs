@@ -1,0 +1,160 @@
+//! Repair of the raw signals and regular sampling.
+
+use super::Plan;
+use lacuna_estimation::filter::{
+    Interpolation, SpikeRule, median_step, regular_grid, remove_spikes, resample, segments, unwrap_angles,
+};
+use lacuna_estimation::stats::quantile_in_place;
+use lacuna_interfaces::{BadInput, Recording, Repair, RepairKind, RobotFile};
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+use std::ops::Range;
+
+/// A step longer than this many median steps is a gap.
+const GAP_FACTOR: f64 = 10.0;
+/// Share of the median step by which sampling may wander before it counts as irregular.
+const JITTER: f64 = 0.1;
+
+/// Signals after repair, `[joint][sample]`.
+pub(super) struct Repaired {
+    pub(super) q: Vec<Vec<f64>>,
+    pub(super) tau: Vec<Vec<f64>>,
+    pub(super) repairs: Vec<Repair>,
+}
+
+/// Refuses a recording that is not one of the robot's.
+pub(super) fn check(recording: &Recording, robot: &RobotFile) -> Result<(), BadInput> {
+    let n = robot.joint_count();
+    if recording.joints != robot.joints {
+        return Err(BadInput::new(format!(
+            "found joints {}; expected the robot file's, {}",
+            recording.joints.join(", "),
+            robot.joints.join(", ")
+        )));
+    }
+    let len = recording.len();
+    for (what, list) in [("q", &recording.q_rad), ("tau", &recording.tau_nm)] {
+        if list.len() != n {
+            return Err(BadInput::new(format!("found {} {what} columns; expected {n}, one per joint", list.len())));
+        }
+        if let Some(column) = list.iter().find(|c| c.len() != len) {
+            return Err(BadInput::new(format!("found {} {what} samples for {len} times; expected as many", column.len())));
+        }
+    }
+    Ok(())
+}
+
+/// Unwraps angles and removes single-sample spikes of position and torque, counting both.
+pub(super) fn repair(recording: &Recording, plan: &Plan) -> Repaired {
+    let mut repairs = Vec::new();
+    let mut note = |kind, signal: String, count: usize| {
+        if count > 0 {
+            repairs.push(Repair { file: recording.name.clone(), kind, signal, count: count as u64 });
+        }
+    };
+    let mut q = recording.q_rad.clone();
+    for (j, column) in q.iter_mut().enumerate() {
+        // The reader undoes wraps near ±π; between two samples no joint turns half a turn, so the rest is wraps too.
+        note(RepairKind::Unwrapped, format!("q{}", j + 1), unwrap_angles(column, TAU));
+        note(RepairKind::Spike, format!("q{}", j + 1), despike(column, 1e-4, plan.spike_threshold));
+    }
+    let mut tau = recording.tau_nm.clone();
+    for (j, column) in tau.iter_mut().enumerate() {
+        note(RepairKind::Spike, format!("tau{}", j + 1), despike(column, 1e-2, plan.spike_threshold));
+    }
+    Repaired { q, tau, repairs }
+}
+
+/// Removes spikes larger than `share` of the signal's range (smaller ones are noise, or the corner of a trajectory)
+/// and than three steps of its resolution (a resting encoder that flickers by a step has none).
+fn despike(column: &mut [f64], share: f64, threshold: f64) -> usize {
+    if threshold == 0.0 {
+        return 0;
+    }
+    let mut sorted = column.to_vec();
+    // The range must not be that of the spikes.
+    let range = quantile_in_place(&mut sorted, 0.995) - quantile_in_place(&mut sorted, 0.005);
+    let floor = (share * range).max(3.0 * resolution(column));
+    let rule = SpikeRule { threshold, floor: if floor.is_finite() { floor } else { 0.0 } };
+    remove_spikes(column, &rule).len()
+}
+
+/// Smallest step between neighbouring samples that is not zero; 0 for a constant signal.
+fn resolution(x: &[f64]) -> f64 {
+    let least = x.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|d| *d > 0.0).fold(f64::INFINITY, f64::min);
+    if least.is_finite() { least } else { 0.0 }
+}
+
+/// How a recording is sampled.
+pub(super) struct Sampling {
+    pub(super) rate_hz: f64,
+    pub(super) irregular: bool,
+    /// Sample ranges without gaps.
+    pub(super) ranges: Vec<Range<usize>>,
+}
+
+impl Sampling {
+    pub(super) fn of(t_s: &[f64], plan: &Plan) -> Result<Self, BadInput> {
+        let step = median_step(t_s)
+            .filter(|s| s.is_finite() && *s > 0.0)
+            .ok_or_else(|| BadInput::new(format!("found {} samples; expected at least 2 at increasing times", t_s.len())))?;
+        let ranges = segments(t_s, GAP_FACTOR * step);
+        // The mean step of the longest stretch is known far better than the median step, which rounding may have touched.
+        let longest = ranges.iter().max_by_key(|r| r.len()).cloned().unwrap_or(0..t_s.len());
+        let mean = (t_s[longest.end - 1] - t_s[longest.start]) / (longest.len() - 1).max(1) as f64;
+        let wanders = |r: &Range<usize>| {
+            (r.clone()).any(|k| (t_s[k] - t_s[r.start] - (k - r.start) as f64 * mean).abs() > JITTER * mean)
+        };
+        let irregular = !(mean > 0.0) || ranges.iter().any(wanders);
+        let own = if irregular { 1.0 / step } else { 1.0 / mean };
+        // Rates are whole numbers of hertz; the stamps' rounding is not.
+        let own = if own > 10.0 && (own - own.round()).abs() < 5e-3 * own { own.round() } else { own };
+        match plan.rate_hz {
+            Some(rate) if (rate - own).abs() > 1e-6 * own => Ok(Self { rate_hz: rate, irregular: true, ranges }),
+            _ => Ok(Self { rate_hz: own, irregular, ranges }),
+        }
+    }
+}
+
+/// One gap-free part of a recording at regular times.
+pub(super) struct Regular {
+    pub(super) start_s: f64,
+    pub(super) q: Vec<Vec<f64>>,
+    pub(super) tau: Vec<Vec<f64>>,
+    pub(super) extra: BTreeMap<String, Vec<f64>>,
+}
+
+/// Brings `range` to regular sampling and undoes the torque's delay.
+pub(super) fn regular(
+    recording: &Recording,
+    repaired: &Repaired,
+    range: Range<usize>,
+    sampling: &Sampling,
+    delay_s: f64,
+) -> Result<Regular, BadInput> {
+    let t = &recording.t_s[range.clone()];
+    let (first, last) = (t[0], t[t.len() - 1]);
+    let cut = |columns: &[Vec<f64>]| -> Vec<Vec<f64>> { columns.iter().map(|c| c[range.clone()].to_vec()).collect() };
+    let on = |columns: &[Vec<f64>], grid: &[f64]| -> Result<Vec<Vec<f64>>, BadInput> {
+        columns.iter().map(|c| Ok(resample(t, &c[range.clone()], grid, Interpolation::Cubic)?)).collect()
+    };
+    let grid = if sampling.irregular { regular_grid(first, last, 1.0 / sampling.rate_hz) } else { t.to_vec() };
+    let q = if sampling.irregular { on(&repaired.q, &grid)? } else { cut(&repaired.q) };
+    let tau = if sampling.irregular || delay_s != 0.0 {
+        let late: Vec<f64> = grid.iter().map(|t| t + delay_s).collect();
+        on(&repaired.tau, &late)?
+    } else {
+        cut(&repaired.tau)
+    };
+    let mut extra = BTreeMap::new();
+    for (name, column) in recording.extra.iter().filter(|(_, c)| c.len() == recording.len()) {
+        let part = &column[range.clone()];
+        // A further column with a value missing is of no use, but no reason to refuse the recording.
+        if part.iter().all(|v| v.is_finite()) {
+            let values =
+                if sampling.irregular { resample(t, part, &grid, Interpolation::Linear)? } else { part.to_vec() };
+            extra.insert(name.clone(), values);
+        }
+    }
+    Ok(Regular { start_s: first, q, tau, extra })
+}

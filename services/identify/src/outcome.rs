@@ -1,0 +1,222 @@
+//! What an identification returns: the model, the machine-readable account of it, and the data of its report.
+
+use crate::condition::Plan;
+use crate::delay::DelayEstimate;
+use crate::evaluate::Score;
+use crate::paper::PaperResult;
+use crate::split::TimeRange;
+use lacuna_interfaces::{BadInput, ModelFile, Repair};
+use serde::Serialize;
+use std::path::Path;
+
+/// Schema string of [`Identification`].
+pub const SCHEMA: &str = "lacuna.identification/1";
+
+/// A factor by which another parameter merges into one.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Merged {
+    /// The parameter that merges.
+    pub symbol: String,
+    /// Its factor: β = π + Σ factor · π_merged.
+    pub factor: f64,
+}
+
+/// An identified parameter.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ParameterRow {
+    /// Symbol.
+    pub symbol: String,
+    /// What it is, in words.
+    pub meaning: String,
+    /// SI unit, or with the robot file's torque unit.
+    pub unit: String,
+    /// Value.
+    pub value: f64,
+    /// 95 % interval.
+    pub ci95: [f64; 2],
+    /// Value that follows from the robot file, merged parameters included; absent for friction.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub nominal: Option<f64>,
+    /// Value minus nominal.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub departure: Option<f64>,
+    /// Whether the departure is beyond its interval and the robot file's tolerance.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub departs: Option<bool>,
+    /// Torque that it explains: root mean square of its column times its value over the training rows of the joint
+    /// where it is largest [Nm].
+    pub contribution_nm: f64,
+    /// Parameters that only appear together with it.
+    pub merged_with: Vec<Merged>,
+}
+
+/// A parameter that the data do not determine.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct NotExcited {
+    /// Symbol.
+    pub symbol: String,
+    /// Why, in words, with the number that shows it.
+    pub reason: String,
+    /// The 95 % interval, where the data give one that includes zero; the value itself is not supported.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ci95: Option<[f64; 2]>,
+}
+
+/// Held-out error with its conditions.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct HeldOut {
+    /// The figures.
+    #[serde(flatten)]
+    pub score: Score,
+    /// Whether standing joints were left out.
+    pub moving_only: bool,
+    /// Speed above which a joint counts as moving [rad/s].
+    pub moving_rad_s: f64,
+    /// Band in which torque and model are compared [Hz].
+    pub band_hz: f64,
+    /// How rows were held out: `files`, `recordings`, `halves` or `kfold=N`.
+    pub split: String,
+    /// Training ranges; with several folds, those of the whole.
+    pub train: Vec<TimeRange>,
+    /// Test ranges; with several folds, those of the whole.
+    pub test: Vec<TimeRange>,
+    /// Relative error of every fold.
+    pub folds: Vec<f64>,
+    /// Relative error of the robot file's own model (no friction) on the same rows; absent if it has no masses.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub nominal_relative_error: Option<f64>,
+    /// The same figure with standing joints fitted and counted; absent if nothing stands still.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub with_standstill: Option<f64>,
+}
+
+/// How well the data determine the parameters.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Conditions {
+    /// Condition number of the robot's base columns at random motions.
+    pub structure: f64,
+    /// Of the weighted training rows, all base columns.
+    pub data: f64,
+    /// Of the columns that were fitted.
+    pub fitted: f64,
+}
+
+/// What enforcing physical consistency did.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Consistency {
+    /// Whether every link got a positive definite pseudo-inertia.
+    pub feasible: bool,
+    /// Relative error of the training rows without the constraint.
+    pub training_error_free: f64,
+    /// And with it.
+    pub training_error_constrained: f64,
+    /// What was done, in words.
+    pub note: String,
+}
+
+/// `identification.json`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Identification {
+    /// Must be [`SCHEMA`].
+    pub schema: &'static str,
+    /// Robot name.
+    pub robot: String,
+    /// Joint names.
+    pub joints: Vec<String>,
+    /// Unit of every torque in this file.
+    pub torque_unit: String,
+    /// `pooled` or `paper`.
+    pub method: String,
+    /// Error on data that the fit has not seen.
+    pub held_out: HeldOut,
+    /// Parameters that the data support.
+    pub parameters: Vec<ParameterRow>,
+    /// Parameters that they do not.
+    pub not_excited: Vec<NotExcited>,
+    /// Condition numbers.
+    pub condition_numbers: Conditions,
+    /// Residual standard deviation per joint over the fitted rows [Nm].
+    pub noise_nm: Vec<f64>,
+    /// Share of fitted rows with bounded influence, per joint.
+    pub outlier_share: Vec<f64>,
+    /// Rows fitted, per joint.
+    pub rows: Vec<usize>,
+    /// Blocks of time behind the intervals.
+    pub blocks: usize,
+    /// Delay between torque and position.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub delay: Option<DelayEstimate>,
+    /// Filters and masks.
+    pub conditioning: Plan,
+    /// What enforcing physical consistency did, if asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub consistency: Option<Consistency>,
+    /// The paper's tables, with `--method paper`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub paper: Option<PaperResult>,
+    /// What readers and conditioning repaired.
+    pub repairs: Vec<Repair>,
+    /// What a user should know before trusting the model.
+    pub warnings: Vec<String>,
+}
+
+/// A joint's curves for the report.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct JointCurves {
+    /// Joint name.
+    pub joint: String,
+    /// Measured torque, filtered [Nm].
+    pub measured_nm: Vec<f32>,
+    /// Model torque, filtered [Nm]; held out where possible.
+    pub model_nm: Vec<f32>,
+    /// Velocity [rad/s].
+    pub qd_rad_s: Vec<f32>,
+    /// Whether the point counts in the held-out error.
+    pub counted: Vec<bool>,
+    /// Mean residual over velocity: centre of the bin [rad/s].
+    pub bin_qd_rad_s: Vec<f32>,
+    /// Mean residual in the bin [Nm].
+    pub bin_residual_nm: Vec<f32>,
+    /// Standard deviation of the residual in the bin [Nm].
+    pub bin_std_nm: Vec<f32>,
+}
+
+/// Curves over time; recordings follow each other.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ReportData {
+    /// Unit of every torque.
+    pub torque_unit: String,
+    /// Time since the first recording's start, recordings strung together without their pauses [s].
+    pub time_s: Vec<f64>,
+    /// Time at which each recording starts in `time_s`, with its name.
+    pub recordings: Vec<(f64, String)>,
+    /// Whether the model curve at this time is held out (predicted by a fit that has not seen it).
+    pub held_out: Vec<bool>,
+    /// Per joint.
+    pub joints: Vec<JointCurves>,
+}
+
+/// Everything.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outcome {
+    /// What the stages load.
+    pub model: ModelFile,
+    /// The account.
+    pub identification: Identification,
+    /// Curves for the report.
+    pub report: ReportData,
+}
+
+/// Writes `model.toml` and `identification.json` into `out_dir`, which is created.
+///
+/// # Errors
+/// [`BadInput`] with the file that cannot be written.
+pub fn write(outcome: &Outcome, out_dir: &Path) -> Result<(), BadInput> {
+    let fail = |path: &Path, e: &dyn std::fmt::Display| BadInput::new(format!("cannot be written: {e}")).in_file(path);
+    std::fs::create_dir_all(out_dir).map_err(|e| fail(out_dir, &e))?;
+    let path = out_dir.join("model.toml");
+    std::fs::write(&path, outcome.model.to_toml()?).map_err(|e| fail(&path, &e))?;
+    let path = out_dir.join("identification.json");
+    let text = serde_json::to_string_pretty(&outcome.identification).map_err(|e| fail(&path, &e))?;
+    std::fs::write(&path, text + "\n").map_err(|e| fail(&path, &e))
+}

@@ -1,0 +1,288 @@
+//! The founding paper's own way (sections 4.1, 4.2), to reproduce it: `method = "paper"`.
+//!
+//! ```text
+//! (ρ1, ρ2)_υ = argmin RMS(T − ρ1 I θ̈ − ρ2 G − Jᵀ M γ)      per trajectory υ, greedy over a grid (eq. 7)
+//! (ρ1, ρ2)   = average over trajectories
+//! (f_v, f_c)_υ,i = (ΦᵀΦ)⁻¹Φᵀ Δτ,  Φ = [θ̇ sgn θ̇]           per trajectory and joint, then the average
+//! ```
+//!
+//! Both errors of the paper are kept apart from the method: ρ1 and ρ2 are linear, so no grid is needed, and an
+//! average of fits is no fit (PHYSICS.md, erratum 7); the pooled method of [`crate::fit`] does neither. Here the
+//! corrected M_KH is used.
+
+use crate::base::Structure;
+use crate::columns::Term;
+use crate::fit::predict;
+use crate::rows::Rows;
+use lacuna_interfaces::BadInput;
+use nalgebra::{DVector, Matrix2, Vector2};
+use serde::Serialize;
+
+/// Range of ρ1 and ρ2 searched.
+const RANGE: (f64, f64) = (0.2, 5.0);
+/// First step of the grid; each refinement is ten times finer, down to 1e-3.
+const STEP: f64 = 0.1;
+
+/// Estimates of one trajectory.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Trajectory {
+    /// File name.
+    pub file: String,
+    /// ρ1*.
+    pub rho1: f64,
+    /// ρ2*.
+    pub rho2: f64,
+    /// f_v per joint [Nm s/rad].
+    pub f_v: Vec<f64>,
+    /// f_c per joint [Nm].
+    pub f_c: Vec<f64>,
+}
+
+/// Mean μ and standard deviation σ of the torque error e = τ − τ̂, per joint [Nm] (the paper's Tables 1 and 2).
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct ErrorTable {
+    /// Model name.
+    pub model: String,
+    /// μ per joint.
+    pub mean_nm: Vec<f64>,
+    /// σ per joint.
+    pub std_nm: Vec<f64>,
+}
+
+/// The paper's estimates and its Table 1.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PaperResult {
+    /// Average ρ1*.
+    pub rho1: f64,
+    /// Average ρ2*.
+    pub rho2: f64,
+    /// Average f_v per joint [Nm s/rad].
+    pub f_v: Vec<f64>,
+    /// Average f_c per joint [Nm].
+    pub f_c: Vec<f64>,
+    /// Estimates per trajectory.
+    pub trajectories: Vec<Trajectory>,
+    /// Table 1 over the held-out rows: M_KH, M_Id, M_Id+F, and the pooled fit beside them.
+    pub table1: Vec<ErrorTable>,
+    /// Table 2 over the held-out rows of recordings with a payload: M_Id+F with m_P = 0 and with the estimate. Empty
+    /// without such recordings.
+    pub table2: Vec<ErrorTable>,
+}
+
+/// M_KH, M_Id and M_Id+F as parameter vectors over the base.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PaperModels {
+    /// M_KH.
+    pub nominal: DVector<f64>,
+    /// M_Id.
+    pub identified: DVector<f64>,
+    /// M_Id+F.
+    pub with_friction: DVector<f64>,
+}
+
+/// The base's parameter vector for ρ1, ρ2 and friction.
+struct Layout {
+    nominal: DVector<f64>,
+    inertia: Vec<usize>,
+    gravity: Vec<usize>,
+    viscous: Vec<Option<usize>>,
+    coulomb: Vec<Option<usize>>,
+}
+
+impl Layout {
+    fn of(structure: &Structure) -> Self {
+        let base = &structure.base;
+        let named = |prefixes: &[&str]| -> Vec<usize> {
+            let symbol = |b: usize| structure.columns[base[b].column].symbol.as_str();
+            (0..base.len())
+                .filter(|&b| {
+                    matches!(structure.columns[base[b].column].term, Term::Rigid(_))
+                        && prefixes.contains(&symbol(b).trim_end_matches(|c: char| c.is_ascii_digit()))
+                })
+                .collect()
+        };
+        let find = |term: Term| base.iter().position(|b| structure.columns[b.column].term == term);
+        let n = structure.active.len();
+        Self {
+            nominal: DVector::from_iterator(base.len(), base.iter().map(|b| b.nominal)),
+            inertia: named(&["I"]),
+            gravity: named(&["gc", "gs"]),
+            viscous: (0..n).map(|j| find(Term::Viscous(j))).collect(),
+            coulomb: (0..n).map(|j| find(Term::Coulomb(j))).collect(),
+        }
+    }
+
+    fn grey_box(&self, rho1: f64, rho2: f64) -> DVector<f64> {
+        let mut beta = self.nominal.clone();
+        self.inertia.iter().for_each(|&b| beta[b] *= rho1);
+        self.gravity.iter().for_each(|&b| beta[b] *= rho2);
+        beta
+    }
+}
+
+/// Estimates ρ1, ρ2 and friction from the rows where `train` is true. `files` names the recordings.
+///
+/// # Errors
+/// [`BadInput`] if no recording has a training row, or a joint does not move.
+pub fn fit(
+    structure: &Structure,
+    rows: &Rows,
+    train: &[bool],
+    files: &[String],
+) -> Result<(PaperModels, PaperResult), BadInput> {
+    let layout = Layout::of(structure);
+    let n = structure.active.len();
+    let parts = [layout.grey_box(0.0, 0.0), layout.grey_box(1.0, 0.0), layout.grey_box(0.0, 1.0)];
+    // Torque of the parts that ρ1 and ρ2 do not touch, then of the two that they scale.
+    let torque: Vec<Vec<Vec<f64>>> =
+        parts.iter().map(|beta| (0..n).map(|j| predict(structure, rows, beta, j)).collect()).collect();
+    let mut trajectories = Vec::new();
+    let mut rows_of = Vec::new();
+    for (r, file) in files.iter().enumerate() {
+        let own: Vec<usize> = (0..rows.len()).filter(|&k| rows.recording[k] == r && train[k]).collect();
+        if own.len() < 10 {
+            continue;
+        }
+        let (rho1, rho2) = greedy(&misfit(rows, &torque, &own));
+        trajectories.push(Trajectory { file: file.clone(), rho1, rho2, f_v: Vec::new(), f_c: Vec::new() });
+        rows_of.push(own);
+    }
+    if trajectories.is_empty() {
+        return Err(BadInput::new("found no training recording of at least 10 rows; expected one trajectory or more"));
+    }
+    let mean = |f: &dyn Fn(&Trajectory) -> f64| trajectories.iter().map(f).sum::<f64>() / trajectories.len() as f64;
+    let (rho1, rho2) = (mean(&|t| t.rho1), mean(&|t| t.rho2));
+    let identified = layout.grey_box(rho1, rho2);
+    let model: Vec<Vec<f64>> = (0..n).map(|j| predict(structure, rows, &identified, j)).collect();
+    for (trajectory, own) in trajectories.iter_mut().zip(&rows_of) {
+        for j in 0..n {
+            let [f_v, f_c] = friction(structure, rows, &layout, own, j, &model[j]).ok_or_else(|| {
+                BadInput::new(format!("joint {} does not move enough to tell f_v from f_c; expected motion", j + 1))
+                    .in_file(&trajectory.file)
+            })?;
+            trajectory.f_v.push(f_v);
+            trajectory.f_c.push(f_c);
+        }
+    }
+    let average = |f: &dyn Fn(&Trajectory) -> &Vec<f64>| -> Vec<f64> {
+        (0..n).map(|j| trajectories.iter().map(|t| f(t)[j]).sum::<f64>() / trajectories.len() as f64).collect()
+    };
+    let (f_v, f_c) = (average(&|t| &t.f_v), average(&|t| &t.f_c));
+    let mut with_friction = identified.clone();
+    for j in 0..n {
+        if let (Some(v), Some(c)) = (layout.viscous[j], layout.coulomb[j]) {
+            with_friction[v] = f_v[j];
+            with_friction[c] = f_c[j];
+        }
+    }
+    let models = PaperModels { nominal: layout.nominal.clone(), identified, with_friction };
+    let result =
+        PaperResult { rho1, rho2, f_v, f_c, trajectories, table1: Vec::new(), table2: Vec::new() };
+    Ok((models, result))
+}
+
+/// Σ (τ − c − ρ1 a − ρ2 b)² over the given rows as a quadratic form: constant, linear, quadratic part.
+struct Quadratic {
+    constant: f64,
+    linear: [f64; 2],
+    quadratic: [f64; 3],
+}
+
+impl Quadratic {
+    fn at(&self, rho1: f64, rho2: f64) -> f64 {
+        self.constant - 2.0 * (self.linear[0] * rho1 + self.linear[1] * rho2)
+            + self.quadratic[0] * rho1 * rho1
+            + 2.0 * self.quadratic[1] * rho1 * rho2
+            + self.quadratic[2] * rho2 * rho2
+    }
+}
+
+fn misfit(rows: &Rows, torque: &[Vec<Vec<f64>>], own: &[usize]) -> Quadratic {
+    let mut q = Quadratic { constant: 0.0, linear: [0.0; 2], quadratic: [0.0; 3] };
+    for (j, joint) in rows.joints.iter().enumerate() {
+        for &k in own.iter().filter(|&&k| joint.usable[k]) {
+            let e = joint.y[k] - torque[0][j][k];
+            let (a, b) = (torque[1][j][k] - torque[0][j][k], torque[2][j][k] - torque[0][j][k]);
+            q.constant += e * e;
+            q.linear[0] += e * a;
+            q.linear[1] += e * b;
+            q.quadratic[0] += a * a;
+            q.quadratic[1] += a * b;
+            q.quadratic[2] += b * b;
+        }
+    }
+    q
+}
+
+/// Best grid point, then finer grids around it (the paper's "greedy approach over a range of values").
+fn greedy(q: &Quadratic) -> (f64, f64) {
+    let mut best = (1.0, 1.0);
+    let (mut low, mut high, mut step) = ([RANGE.0; 2], [RANGE.1; 2], STEP);
+    while step > 5e-4 {
+        let mut least = f64::INFINITY;
+        let count = |i: usize| ((high[i] - low[i]) / step).round() as usize;
+        let centre = best;
+        for i in 0..=count(0) {
+            for k in 0..=count(1) {
+                let point = (low[0] + i as f64 * step, low[1] + k as f64 * step);
+                let value = q.at(point.0, point.1);
+                if value < least {
+                    (least, best) = (value, point);
+                }
+            }
+        }
+        if !least.is_finite() {
+            return centre;
+        }
+        (low, high) = ([best.0 - step, best.1 - step], [best.0 + step, best.1 + step]);
+        step /= 10.0;
+    }
+    best
+}
+
+/// \[f_v, f_c\] of one joint over the given rows, by the paper's linear regression.
+fn friction(
+    structure: &Structure,
+    rows: &Rows,
+    layout: &Layout,
+    own: &[usize],
+    j: usize,
+    model: &[f64],
+) -> Option<[f64; 2]> {
+    let active = &structure.active[j];
+    let slot = |b: Option<usize>| active.iter().position(|a| Some(*a) == b);
+    let (v, c) = (slot(layout.viscous[j])?, slot(layout.coulomb[j])?);
+    let joint = &rows.joints[j];
+    let mut phi = Matrix2::zeros();
+    let mut rhs = Vector2::zeros();
+    for &k in own.iter().filter(|&&k| joint.usable[k]) {
+        let row = Vector2::new(joint.x[k * active.len() + v], joint.x[k * active.len() + c]);
+        phi += row * row.transpose();
+        rhs += row * (joint.y[k] - model[k]);
+    }
+    // Speed and sign nearly proportional, or no motion: the regression has no answer.
+    if !(phi.determinant() > 1e-9 * phi[(0, 0)] * phi[(1, 1)]) {
+        return None;
+    }
+    let solved = phi.try_inverse()? * rhs;
+    Some([solved[0], solved[1]])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_grid_finds_the_least_squares_point() {
+        // (ρ1, ρ2) = (1.234, 0.877) as the minimum of a quadratic form with a strong cross term.
+        let (a, b, c) = (2.0, 0.9, 1.5);
+        let (x, y) = (1.234, 0.877);
+        let q = Quadratic {
+            constant: a * x * x + 2.0 * b * x * y + c * y * y,
+            linear: [a * x + b * y, b * x + c * y],
+            quadratic: [a, b, c],
+        };
+        let (rho1, rho2) = greedy(&q);
+        assert!((rho1 - x).abs() < 1.1e-3 && (rho2 - y).abs() < 1.1e-3, "{rho1} {rho2}");
+    }
+}

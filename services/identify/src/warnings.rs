@@ -1,0 +1,262 @@
+//! What a user should know before trusting the model, in words, each with the number that shows it.
+
+use crate::base::Structure;
+use crate::columns::Term;
+use crate::condition::{Conditioned, Plan};
+use crate::delay::DelayEstimate;
+use crate::evaluate::Score;
+use crate::fit::Solution;
+use crate::rows::Rows;
+use lacuna_interfaces::RobotFile;
+
+/// Everything that warnings look at.
+pub(crate) struct Findings<'a> {
+    pub(crate) robot: &'a RobotFile,
+    pub(crate) structure: &'a Structure,
+    pub(crate) recordings: &'a [Conditioned],
+    pub(crate) rows: &'a Rows,
+    pub(crate) solution: &'a Solution,
+    pub(crate) plan: &'a Plan,
+    pub(crate) held_out: &'a Score,
+    pub(crate) with_standstill: Option<f64>,
+    pub(crate) delay: Option<DelayEstimate>,
+}
+
+/// Least time in motion that supports intervals [s].
+const SHORT_S: f64 = 10.0;
+/// Fewest blocks of time for intervals that deserve the name.
+const FEW_BLOCKS: usize = 20;
+
+pub(crate) fn all(f: &Findings<'_>) -> Vec<String> {
+    let mut out = Vec::new();
+    amount(f, &mut out);
+    excitation(f, &mut out);
+    rank(f, &mut out);
+    saturation(f, &mut out);
+    units(f, &mut out);
+    standstill(f, &mut out);
+    timing(f, &mut out);
+    quality(f, &mut out);
+    out
+}
+
+fn amount(f: &Findings<'_>, out: &mut Vec<String>) {
+    let seconds = f.rows.len() as f64 * f.rows.period_s;
+    if f.recordings.len() < 2 {
+        out.push(format!(
+            "too few recordings: found 1 ({seconds:.1} s); what differs from day to day is not in it, and the intervals do \
+             not cover it"
+        ));
+    }
+    let moving = f.rows.joints.iter().map(|j| j.fitted.iter().filter(|m| **m).count()).min().unwrap_or(0);
+    let moving_s = moving as f64 * f.rows.period_s;
+    if moving_s < SHORT_S {
+        out.push(format!(
+            "little data: the joint that moves least gives {moving_s:.1} s in motion; expected {SHORT_S} s or more"
+        ));
+    }
+    if f.solution.blocks < FEW_BLOCKS {
+        out.push(format!(
+            "the intervals rest on {} blocks of time; expected {FEW_BLOCKS} or more for intervals that hold",
+            f.solution.blocks
+        ));
+    }
+    for r in f.recordings.iter().filter(|r| r.dropped_s > 0.0) {
+        out.push(format!("{}: {:.2} s lie in stretches between gaps that are too short to filter", r.name, r.dropped_s));
+    }
+    let uneven: Vec<f64> = f.recordings.iter().filter(|r| r.resampled).map(|r| r.sample_rate_hz).collect();
+    if !uneven.is_empty() {
+        let (low, high) = uneven.iter().fold((f64::INFINITY, 0.0f64), |(l, h), r| (l.min(*r), h.max(*r)));
+        out.push(format!(
+            "{} of {} recordings are sampled irregularly; interpolated to their median rate, {low:.1} to {high:.1} Hz",
+            uneven.len(),
+            f.recordings.len()
+        ));
+    }
+}
+
+fn excitation(f: &Findings<'_>, out: &mut Vec<String>) {
+    for (j, joint) in f.rows.joints.iter().enumerate() {
+        let moving = joint.counted.iter().filter(|m| **m).count();
+        let share = moving as f64 / f.rows.len().max(1) as f64;
+        let fastest = joint.qd.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+        if share < 0.05 {
+            out.push(format!(
+                "joint {} ({}) is hardly excited: it moves faster than {} rad/s in {:.1} % of the time, {fastest:.3} rad/s at most",
+                j + 1,
+                f.robot.joints[j],
+                f.plan.moving_rad_s,
+                100.0 * share
+            ));
+            continue;
+        }
+        let forward = (0..f.rows.len()).filter(|&k| joint.counted[k] && joint.qd[k] > 0.0).count();
+        let one_way = forward.min(moving - forward) as f64 / moving.max(1) as f64;
+        if one_way < 0.02 && f.plan.moving_rad_s > 0.0 {
+            out.push(format!(
+                "joint {} ({}) moves in one direction only ({:.1} % the other way): its Coulomb friction and its offset are one number",
+                j + 1,
+                f.robot.joints[j],
+                100.0 * one_way
+            ));
+        }
+    }
+}
+
+fn rank(f: &Findings<'_>, out: &mut Vec<String>) {
+    let s = f.structure;
+    let symbol = |b: usize| s.columns[s.base[b].column].symbol.as_str();
+    let zero: Vec<&str> =
+        f.solution.unexcited.iter().filter(|u| u.combination.is_empty()).map(|u| symbol(u.base)).collect();
+    let merged: Vec<String> = f
+        .solution
+        .unexcited
+        .iter()
+        .filter(|u| !u.combination.is_empty())
+        .map(|u| {
+            let most = u.combination.iter().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
+            format!("{} with {}", symbol(u.base), most.map_or("others", |m| symbol(m.0)))
+        })
+        .collect();
+    if !zero.is_empty() {
+        out.push(format!("rank deficient: {} of {} base parameters are not excited at all: {}", zero.len(), s.base.len(), zero.join(", ")));
+    }
+    if !merged.is_empty() {
+        out.push(format!(
+            "collinear columns: these recordings do not tell apart {} (condition number {:.1e} with them, {:.1e} without)",
+            merged.join(", "),
+            f.solution.condition_all,
+            f.solution.condition
+        ));
+    }
+    if f.solution.condition > 1e3 {
+        out.push(format!(
+            "ill-conditioned: the condition number of the fit is {:.1e}; expected below 1e3 (a richer excitation trajectory helps)",
+            f.solution.condition
+        ));
+    }
+}
+
+fn saturation(f: &Findings<'_>, out: &mut Vec<String>) {
+    let unit = f.robot.torque_unit.symbol();
+    for r in f.recordings {
+        for (j, s) in r.saturation.iter().enumerate() {
+            if let Some(s) = s {
+                out.push(format!(
+                    "{}: the torque of joint {} stays at its limit of {:.4} {unit} in {} samples ({:.1} %): saturated, left out of the fit",
+                    r.name,
+                    j + 1,
+                    s.level,
+                    s.samples,
+                    100.0 * s.share
+                ));
+            }
+        }
+    }
+}
+
+/// Torques in another unit than the robot file says: all rigid-body parameters off by one factor, or peaks that the
+/// drive's rating does not allow.
+fn units(f: &Findings<'_>, out: &mut Vec<String>) {
+    let s = f.structure;
+    if let Some(factor) = common_factor(s, f.solution)
+        && !(0.5..=2.0).contains(&factor)
+    {
+        let gear = (0..f.robot.joint_count()).find_map(|j| f.robot.drive.gear_ratio.as_ref().and_then(|g| g.get(j)));
+        let hint = match gear {
+            Some(g) if (factor * g.abs() - 1.0).abs() < 0.3 => format!("; the gear ratio is {g}: a motor-side torque?"),
+            _ => "; a current or a motor-side torque called Nm?".to_owned(),
+        };
+        out.push(format!(
+            "wrong unit? the rigid-body parameters are {factor:.3} times what the robot file says, all alike{hint}"
+        ));
+    }
+    for (j, joint) in f.rows.joints.iter().enumerate() {
+        let peak = joint.y.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+        let rated = f.robot.drive.rated_torque_nm.as_ref().and_then(|r| r.get(j));
+        if let Some(rated) = rated
+            && (peak > 10.0 * rated || peak < 0.01 * rated)
+        {
+            out.push(format!(
+                "wrong unit? joint {} peaks at {peak:.4} {}; the drive is rated for {rated} Nm",
+                j + 1,
+                f.robot.torque_unit.symbol()
+            ));
+        }
+    }
+}
+
+/// Factor between the identified and the nominal rigid body, if one factor explains the departure: by the size of what
+/// each column contributes.
+fn common_factor(s: &Structure, solution: &Solution) -> Option<f64> {
+    let (mut cross, mut nominal, mut own) = (0.0, 0.0, 0.0);
+    for &b in &solution.excited {
+        let column = &s.columns[s.base[b].column];
+        let se = solution.standard_error(b);
+        if !matches!(column.term, Term::Rigid(_)) || !(se > 0.0) {
+            continue;
+        }
+        let (x, y) = (s.base[b].nominal / se, solution.beta[b] / se);
+        cross += x * y;
+        nominal += x * x;
+        own += y * y;
+    }
+    if !(nominal > 0.0 && own > 0.0) {
+        return None;
+    }
+    // One factor must explain nearly all of it; otherwise it is the robot that differs, not the unit.
+    let alike = cross * cross / (nominal * own);
+    (alike > 0.9).then_some(cross / nominal)
+}
+
+fn standstill(f: &Findings<'_>, out: &mut Vec<String>) {
+    if let Some(with) = f.with_standstill
+        && with > 1.3 * f.held_out.relative_error
+    {
+        out.push(format!(
+            "standstill trap: with standing joints fitted and counted the held-out error is {:.1} %, moving {:.1} %; a standing \
+             joint holds any torque within its stiction, which no model of the motion predicts",
+            100.0 * with,
+            100.0 * f.held_out.relative_error
+        ));
+    }
+}
+
+fn timing(f: &Findings<'_>, out: &mut Vec<String>) {
+    let Some(delay) = f.delay else { return };
+    let rate = f.recordings.iter().map(|r| r.sample_rate_hz).fold(f64::INFINITY, f64::min);
+    if delay.undone_s == 0.0 && delay.delay_s.abs() > 4.0 * delay.standard_error_s && delay.delay_s.abs() * rate > 2.0 {
+        out.push(format!(
+            "the torque is {:.2} ms {} the model ({:.1} sample periods): more than sampling explains (elasticity, a filter in \
+             the drive?); not undone",
+            1e3 * delay.delay_s.abs(),
+            if delay.delay_s > 0.0 { "behind" } else { "ahead of" },
+            delay.delay_s.abs() * rate
+        ));
+    }
+}
+
+fn quality(f: &Findings<'_>, out: &mut Vec<String>) {
+    for (j, e) in f.held_out.relative_error_per_joint.iter().enumerate() {
+        if *e > 0.5 {
+            out.push(format!(
+                "joint {} ({}): the model leaves {:.0} % of the held-out torque unexplained (rms {:.4} {})",
+                j + 1,
+                f.robot.joints[j],
+                100.0 * e,
+                f.held_out.rms_nm[j],
+                f.robot.torque_unit.symbol()
+            ));
+        }
+    }
+    for (j, share) in f.solution.outliers.iter().enumerate() {
+        if *share > 0.1 {
+            out.push(format!(
+                "joint {}: {:.0} % of the residuals lie beyond 2.5 standard deviations; expected 1 % (a missing effect, or \
+                 events in the recordings)",
+                j + 1,
+                100.0 * share
+            ));
+        }
+    }
+}

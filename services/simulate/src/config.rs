@@ -112,6 +112,8 @@ pub struct SimulationConfig {
     pub control: ControlConfig,
     /// Log.
     pub log: LogConfig,
+    /// Simulate once more without each effect, to say in the truth how much torque it is behind.
+    pub measure_effects: bool,
     /// What is truly there beyond the robot file and friction.
     #[serde(rename = "effect")]
     pub effects: Vec<TrueEffect>,
@@ -134,6 +136,7 @@ impl Default for SimulationConfig {
             noise: NoiseConfig::default(),
             control: ControlConfig::default(),
             log: LogConfig::default(),
+            measure_effects: false,
             effects: Vec::new(),
         }
     }

@@ -64,15 +64,26 @@ pub struct Controller<'a> {
     blend: f64,
 }
 
+/// Largest kd · period / J_r at which a sampled velocity loop on the bare rotor is well damped.
+const ROTOR_GAIN: f64 = 0.3;
+
 /// Peak torque of a servo over its rated torque.
 const PEAK_OVER_RATED: f64 = 3.0;
 
 impl<'a> Controller<'a> {
-    /// A controller tuned on the inertia of `model`, the nominal robot, at the pose `q`.
+    /// A controller tuned on the inertia of `model`, the nominal robot, at the pose `q`. Where `truth` has a
+    /// spring, the gain is what the rotor alone bears: whoever commissions a drive turns it down until it
+    /// stops singing.
     ///
     /// # Errors
     /// [`BadInput`] if the pose does not exist or a joint has no inertia.
-    pub fn new(config: &ControlConfig, model: &'a TrueRobot, robot: &RobotFile, q: &Joints) -> Result<Self, BadInput> {
+    pub fn new(
+        config: &ControlConfig,
+        model: &'a TrueRobot,
+        truth: &TrueRobot,
+        robot: &RobotFile,
+        q: &Joints,
+    ) -> Result<Self, BadInput> {
         let inertia = model.inertia_diagonal(q)?;
         let omega = TAU * config.bandwidth_hz;
         let mut limit = [f64::INFINITY; lacuna_interfaces::MAX_JOINTS];
@@ -82,11 +93,18 @@ impl<'a> Controller<'a> {
             }
         }
         let period = 1.0 / config.rate_hz;
+        let mut kp = inertia.map(|m| m * omega * omega);
+        let mut kd = inertia.map(|m| 2.0 * config.damping * omega * m);
+        for (i, joint) in truth.joints.iter().enumerate().filter(|(_, j)| j.transmission.is_some()) {
+            let share = (ROTOR_GAIN * joint.rotor / (period * kd[i])).min(1.0);
+            kd[i] *= share;
+            kp[i] *= share * share;
+        }
         Ok(Self {
             model,
             loads: model.loads(0.0, &[]),
-            kp: inertia.map(|m| m * omega * omega),
-            kd: inertia.map(|m| 2.0 * config.damping * omega * m),
+            kp,
+            kd,
             limit,
             last: None,
             speed: Joints::default(),

@@ -73,7 +73,8 @@ pub fn demo_delta(seed: u64) -> Result<Demo, BadInput> {
     let robot = RobotFile::parse(DEMO_ROBOT)?;
     let group = |kind, count, duration_s, intensity| TrajectoryGroup { kind, duration_s, count, intensity };
     let truth = vec![
-        TrueEffect::new("forearm_rod", &[], &[("mass", 1.25), ("xi", 0.48), ("share", 1.0 / 12.0)]),
+        // Uniform rods of 0.55 kg, centre of mass at 0.48 of their length: m_f = 0.44 + 0.11.
+        TrueEffect::new("forearm_rod", &[], &[("ds_1", 0.044), ("ds_2", -0.047_446_7), ("dm", 0.11)]),
         TrueEffect::new("rotor_inertia", &["q1"], &[("J", 0.30)]),
         TrueEffect::new("rotor_inertia", &["q2"], &[("J", 0.32)]),
         TrueEffect::new("rotor_inertia", &["q3"], &[("J", 0.28)]),
@@ -92,7 +93,7 @@ pub fn demo_delta(seed: u64) -> Result<Demo, BadInput> {
     };
     let mut carried = free.clone();
     carried.trajectories = vec![group(Kinds::PickPlace, 1, 10.0, 0.8)];
-    carried.effects.push(TrueEffect::new("payload", &[], &[("mass", DEMO_PAYLOAD_KG)]));
+    carried.effects.push(TrueEffect::new("payload", &[], &[("m", DEMO_PAYLOAD_KG)]));
     // The same robot: friction, masses and noise are drawn from the same stream of the same seed.
     Ok(Demo { free: simulate(&robot, None, &free)?, pick_place: simulate(&robot, None, &carried)?, robot })
 }

@@ -11,10 +11,12 @@
 //! Deterministic by seed: every trajectory has random streams of its own, so neither the number of threads nor
 //! the order of the work changes a bit.
 
+pub mod case;
 pub mod config;
 pub mod control;
 pub mod demo;
 pub mod effects;
+pub mod oracle;
 pub mod output;
 pub mod plant;
 pub mod random;
@@ -22,10 +24,14 @@ pub mod reference;
 pub mod run;
 mod simulation;
 mod truth;
+pub mod twin;
 
+pub use case::{Case, CaseOptions, draw_case};
 pub use config::SimulationConfig;
 pub use demo::{Demo, demo_delta};
 pub use effects::{TrueEffect, draw_effect};
+pub use oracle::Oracle;
 pub use output::{Manifest, ManifestFile, write_csv};
 pub use simulation::{Simulation, simulate};
 pub use truth::{BaseFriction, EffectTruth, EventTruth, NoiseTruth, Truth};
+pub use twin::{Twin, TwinConfig, TwinReference};

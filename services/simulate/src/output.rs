@@ -48,16 +48,16 @@ fn rounded(v: f64, decimals: u32) -> f64 {
     if r == 0.0 { 0.0 } else { r }
 }
 
-/// Time constant [s] and rise [K] of a drive's temperature.
+/// Time constant of a drive's temperature where no effect says another [s], and its rise [K].
 const WARM_UP_S: f64 = 60.0;
 const WARM_UP_K: f64 = 14.0;
 
-/// The recording of a run.
+/// The recording of a run; with `warm_up`, the time constants per joint, temperature columns too.
 pub(crate) fn recording_of(
     robot: &RobotFile,
     logged: &Logged,
     index: usize,
-    temperature: bool,
+    warm_up: Option<&[Option<f64>]>,
     start_s: f64,
     random: &mut Random,
 ) -> Recording {
@@ -65,16 +65,14 @@ pub(crate) fn recording_of(
         columns.iter().map(|c| c.iter().map(|&v| rounded(v, decimals)).collect()).collect()
     };
     let mut extra = BTreeMap::new();
-    if temperature {
-        for i in 0..robot.joint_count() {
-            let rise = WARM_UP_K * random.uniform(0.8, 1.2);
-            let warm = |t: &f64, r: &mut Random| {
-                let mean = 24.0 + rise * (1.0 - (-(start_s + t) / WARM_UP_S).exp());
-                rounded(mean + 0.15 * r.normal(), TEMPERATURE_DECIMALS)
-            };
-            let column = logged.t_s.iter().map(|t| warm(t, random)).collect();
-            extra.insert(format!("temp{}", i + 1), column);
-        }
+    for (i, time_constant) in warm_up.unwrap_or_default().iter().enumerate() {
+        let tau = time_constant.unwrap_or(WARM_UP_S);
+        let rise = WARM_UP_K * random.uniform(0.8, 1.2);
+        let mut at = |t: &f64| {
+            let mean = 24.0 + rise * (1.0 - (-(start_s + t) / tau).exp());
+            rounded(mean + 0.15 * random.normal(), TEMPERATURE_DECIMALS)
+        };
+        extra.insert(format!("temp{}", i + 1), logged.t_s.iter().map(&mut at).collect());
     }
     Recording {
         name: format!("traj_{:02}.csv", index + 1),

@@ -67,6 +67,13 @@ struct Ticks {
     zero: usize,
 }
 
+impl Ticks {
+    fn with_capacity(total: usize, zero: usize) -> Self {
+        let list = || Vec::with_capacity(total);
+        Self { command: list(), reading: list(), position: list(), speed: list(), error: 0.0, zero }
+    }
+}
+
 /// Simulates one trajectory of `duration_s` that starts `start_s` after the cold drives were switched on.
 ///
 /// # Errors
@@ -79,50 +86,40 @@ pub fn run(
     start_s: f64,
     random: &mut Random,
 ) -> Result<Logged, BadInput> {
-    let ticks = run_ticks(setup, reference, events, duration_s, start_s, random).map_err(|(t, Unreachable)| {
+    let left = |t: f64| {
         BadInput::new(format!(
             "simulation: the robot left its workspace at t = {t:.3} s; expected a motion and effects that it can follow"
         ))
-    })??;
+    };
+    let begin = reference.at(0.0).map_err(|Unreachable| left(0.0))?;
+    let controller = Controller::new(&setup.control, setup.nominal, setup.truth, setup.robot, &begin.q)?;
+    let mut motor = begin.q;
+    for (i, joint) in setup.truth.joints.iter().enumerate() {
+        motor[i] -= joint.encoder_offset;
+    }
+    let dt = 1.0 / setup.control.rate_hz / f64::from(setup.control.substeps.max(1));
+    let plant = Stepper::at_rest(setup.truth, events, start_s, dt, &motor).map_err(|Unreachable| left(0.0))?;
+    let ticks = close_loop(setup, reference, duration_s, controller, plant, random).map_err(left)?;
     log(setup, &ticks, duration_s, random)
 }
 
-type AtTime = (f64, Unreachable);
-
-fn run_ticks(
+/// Runs the loop; the error is the time at which the robot left its workspace.
+fn close_loop(
     setup: &Setup<'_>,
     reference: &dyn Reference,
-    events: &[TipEvent],
     duration_s: f64,
-    start_s: f64,
+    mut controller: Controller<'_>,
+    mut plant: Stepper<'_>,
     random: &mut Random,
-) -> Result<Result<Ticks, BadInput>, AtTime> {
+) -> Result<Ticks, f64> {
     let n = setup.truth.joints.len();
     let period = 1.0 / setup.control.rate_hz;
     let substeps = setup.control.substeps.max(1);
     let dt = period / f64::from(substeps);
     let zero = (SETTLE_S / period).ceil() as usize;
     // The log's window and a late torque reach past the last sample.
-    let after = setup.divider + 2;
-    let total = zero + (duration_s / period).round() as usize + after;
-    let begin = reference.at(0.0).map_err(|e| (0.0, e))?;
-    let mut controller = match Controller::new(&setup.control, setup.nominal, setup.robot, &begin.q) {
-        Ok(controller) => controller,
-        Err(e) => return Ok(Err(e)),
-    };
-    let mut motor = begin.q;
-    for (i, joint) in setup.truth.joints.iter().enumerate() {
-        motor[i] -= joint.encoder_offset;
-    }
-    let mut plant = Stepper::at_rest(setup.truth, events, start_s, dt, &motor).map_err(|e| (0.0, e))?;
-    let mut ticks = Ticks {
-        command: Vec::with_capacity(total),
-        reading: Vec::with_capacity(total),
-        position: Vec::with_capacity(total),
-        speed: Vec::with_capacity(total),
-        error: 0.0,
-        zero,
-    };
+    let total = zero + (duration_s / period).round() as usize + setup.divider + 2;
+    let mut ticks = Ticks::with_capacity(total, zero);
     for tick in 0..total {
         let t = (tick as f64 - zero as f64) * period;
         let (mut position, mut speed, mut reading) = (Joints::default(), Joints::default(), Joints::default());
@@ -131,8 +128,8 @@ fn run_ticks(
             speed[i] = plant.motor_speed(i);
             reading[i] = encoder(position[i], setup.encoder_step[i], setup.encoder_noise, random);
         }
-        let target = reference.at(t.max(0.0)).map_err(|e| (t, e))?;
-        let command = controller.command(&reading, &target).map_err(|e| (t, e))?;
+        let target = reference.at(t.max(0.0)).map_err(|Unreachable| t)?;
+        let command = controller.command(&reading, &target).map_err(|Unreachable| t)?;
         let mut drive = Joints::default();
         for i in 0..n {
             drive[i] = setup.truth.joints[i].delivered(command[i]);
@@ -144,14 +141,14 @@ fn run_ticks(
             }
         }
         for k in 0..substeps {
-            plant.step(t + f64::from(k) * dt, &drive).map_err(|e| (t, e))?;
+            plant.step(t + f64::from(k) * dt, &drive).map_err(|Unreachable| t)?;
         }
         ticks.command.push(command);
         ticks.reading.push(reading);
         ticks.position.push(position);
         ticks.speed.push(speed);
     }
-    Ok(Ok(ticks))
+    Ok(ticks)
 }
 
 /// Reading of an encoder with steps of `step` [rad] and noise in steps; a step of 0 is an ideal encoder.

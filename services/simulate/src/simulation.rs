@@ -1,7 +1,8 @@
 //! From a configuration to recordings and their truth.
 
 use crate::config::{FrictionConfig, SimulationConfig};
-use crate::effects::{self, Class, Scales, TrueEffect};
+use crate::effects::{self, Scales};
+use crate::oracle::Oracle;
 use crate::output::{Manifest, ManifestFile, recording_of};
 use crate::plant::friction::JointFriction;
 use crate::plant::robot::TipEvent;
@@ -34,13 +35,13 @@ pub(crate) struct Plan {
     pub start_s: f64,
 }
 
-/// Streams of the seed; trajectories take `TRAJECTORY` and on.
+/// Streams of the seed; every trajectory has its own, see also `effects`.
 mod stream {
     pub const ROBOT: u64 = 0;
-    pub const EFFECTS: u64 = 1;
     pub const PAUSES: u64 = 2;
     pub const REFERENCES: u64 = 1 << 20;
     pub const TRAJECTORY: u64 = 1 << 21;
+    pub const TEMPERATURE: u64 = 3 << 20;
 }
 
 /// Simulates closed-loop recordings of `robot`; `urdf` is the text of the URDF that the robot file names.
@@ -64,101 +65,155 @@ pub fn simulate(robot: &RobotFile, urdf: Option<&str>, config: &SimulationConfig
             start_s += group.duration_s + 2.0 * config.log.pause_s * pauses.unit();
         }
     }
-    simulate_plans(robot, &nominal, config, &plans)
+    let study = Study::new(robot, &nominal, config)?;
+    let scene = study.scene(&plans, None)?;
+    let logged = study.run(&plans, &scene, &study.noise)?;
+    study.report(&plans, &scene, logged)
 }
 
-/// Simulates given trajectories.
-pub(crate) fn simulate_plans(
-    robot: &RobotFile,
-    nominal: &TrueRobot,
-    config: &SimulationConfig,
-    plans: &[Plan],
-) -> Result<Simulation, BadInput> {
-    let scales = Scales::of(robot, nominal)?;
-    let mut random = Random::new(config.seed, stream::ROBOT);
-    let mut truth = nominal.clone();
-    perturb(&mut truth, config.mass_error, &mut random);
-    let base = base_friction(&config.friction, &scales, &mut truth, &mut random);
-    let noise = draw_noise(robot, config, &scales, &truth, &mut random);
-    let mut events: Vec<Vec<TipEvent>> = vec![Vec::new(); plans.len()];
-    let spans: Vec<(f64, Vec<(f64, f64)>)> =
-        plans.iter().map(|p| (p.duration_s, p.reference.grips().to_vec())).collect();
-    let mut drawn = Random::new(config.seed, stream::EFFECTS);
-    effects::apply(&config.effects, robot, &mut truth, &mut events, &spans, &scales, &mut drawn)?;
-    let setup = Setup {
-        robot,
-        truth: &truth,
-        nominal,
-        control: config.control,
-        divider: config.log_divider(robot)?,
-        torque_noise: noise.torque,
-        encoder_step: noise.encoder_step,
-        encoder_noise: config.noise.encoder_steps,
-        process_noise: scales.torque.map(|t| t * config.noise.process_share),
-        spikes_per_s: config.noise.spikes_per_s,
-    };
-    let runs: Vec<(Logged, Recording)> = plans
-        .par_iter()
-        .zip(&events)
-        .enumerate()
-        .map(|(k, (plan, events))| {
-            let mut random = Random::new(config.seed, stream::TRAJECTORY + k as u64);
-            let reference = plan.reference.as_ref();
-            let logged = run(&setup, reference, events, plan.duration_s, plan.start_s, &mut random)?;
-            let recording = recording_of(robot, &logged, k, config.log.temperature, plan.start_s, &mut random);
-            Ok((logged, recording))
-        })
-        .collect::<Result<_, BadInput>>()?;
-    let (behind, recordings): (Vec<_>, Vec<_>) = runs.into_iter().unzip();
-    let files = recordings.iter().zip(plans);
-    let manifest = Manifest {
-        files: files
-            .map(|(r, p)| ManifestFile {
-                file: r.name.clone(),
-                start_time_s: (p.start_s * 1e3).round() / 1e3,
-                duration_s: p.duration_s,
-            })
-            .collect(),
-        note: Manifest::NOTE.to_owned(),
-    };
-    let n = robot.joint_count();
-    let truth = Truth {
-        schema: Truth::SCHEMA.to_owned(),
-        robot: robot.name.clone(),
-        seed: config.seed,
-        mass_error: config.mass_error,
-        base: if config.friction.none { "ideal" } else { "friction" }.to_owned(),
-        base_params: base,
-        effects: config.effects.iter().map(|e| effect_truth(e, robot)).collect::<Result<_, _>>()?,
-        events: recordings.iter().zip(&events).map(|(r, e)| (r.name.clone(), EventTruth::of(e))).collect(),
-        noise: NoiseTruth {
-            torque_nm: noise.torque[..n].to_vec(),
-            encoder_step_rad: noise.encoder_step[..n].to_vec(),
-            encoder_steps: config.noise.encoder_steps,
-        },
-        hidden_rms_nm: (0..n).map(|i| pooled_rms(behind.iter().map(|l| l.hidden_nm[i].as_slice()))).collect(),
-        tracking_error_rad: behind.iter().map(|l| l.tracking_error_rad).fold(0.0, f64::max),
-    };
-    Ok(Simulation { recordings, manifest, truth, behind })
+/// A robot under a configuration: what all its trajectories share.
+pub(crate) struct Study<'a> {
+    robot: &'a RobotFile,
+    nominal: &'a TrueRobot,
+    config: &'a SimulationConfig,
+    scales: Scales,
+    /// The true robot before effects.
+    bare: TrueRobot,
+    friction: BaseFriction,
+    pub(crate) noise: Noise,
+    divider: usize,
 }
 
-fn effect_truth(effect: &TrueEffect, robot: &RobotFile) -> Result<EffectTruth, BadInput> {
-    let kind = effects::find(&effect.id)?;
-    let all = kind.scope == effects::Scope::Joint && effect.joints.is_empty();
-    Ok(EffectTruth {
-        id: effect.id.clone(),
-        cls: kind.class,
-        also_accept: kind.also_accept.iter().map(|s| (*s).to_owned()).collect(),
-        joints: if all { robot.joints.clone() } else { effect.joints.clone() },
-        params: effect.params.clone(),
-        law: kind.law.to_owned(),
-    })
+/// The true robot with its effects, and what happens at its tip in every trajectory.
+pub(crate) struct Scene {
+    truth: TrueRobot,
+    events: Vec<Vec<TipEvent>>,
 }
 
-impl EffectTruth {
-    /// True if a diagnosis can name it.
-    pub fn in_catalogue(&self) -> bool {
-        self.cls == Class::Catalogue
+impl<'a> Study<'a> {
+    fn new(robot: &'a RobotFile, nominal: &'a TrueRobot, config: &'a SimulationConfig) -> Result<Self, BadInput> {
+        let scales = Scales::of(robot, nominal)?;
+        let mut random = Random::new(config.seed, stream::ROBOT);
+        let mut bare = nominal.clone();
+        perturb(&mut bare, config.mass_error, &mut random);
+        let friction = base_friction(&config.friction, &scales, &mut bare, &mut random);
+        let noise = Noise::draw(robot, config, &scales, &bare, &mut random);
+        Ok(Self { robot, nominal, config, scales, bare, friction, noise, divider: config.log_divider(robot)? })
+    }
+
+    /// A study of a robot that is known already: no draws.
+    pub(crate) fn known(
+        robot: &'a RobotFile,
+        model: &'a TrueRobot,
+        config: &'a SimulationConfig,
+        scales: Scales,
+        noise: Noise,
+    ) -> Result<Self, BadInput> {
+        let of = |get: fn(&JointFriction) -> f64| model.joints.iter().map(|j| get(&j.friction)).collect();
+        let friction = BaseFriction { fc: of(|f| f.coulomb_positive), fv: of(|f| f.viscous) };
+        let divider = config.log_divider(robot)?;
+        Ok(Self { robot, nominal: model, config, scales, bare: model.clone(), friction, noise, divider })
+    }
+
+    /// The robot with all effects but number `left_out`.
+    pub(crate) fn scene(&self, plans: &[Plan], left_out: Option<usize>) -> Result<Scene, BadInput> {
+        let mut scene = Scene { truth: self.bare.clone(), events: vec![Vec::new(); plans.len()] };
+        let plans: Vec<_> = plans.iter().map(|p| (p.duration_s, p.reference.grips().to_vec())).collect();
+        let target = effects::Target { truth: &mut scene.truth, events: &mut scene.events, plans: &plans };
+        effects::apply(&self.config.effects, self.robot, &self.scales, target, self.config.seed, left_out)?;
+        Ok(scene)
+    }
+
+    /// Runs all trajectories.
+    pub(crate) fn run(&self, plans: &[Plan], scene: &Scene, noise: &Noise) -> Result<Vec<Logged>, BadInput> {
+        let setup = Setup {
+            robot: self.robot,
+            truth: &scene.truth,
+            nominal: self.nominal,
+            control: self.config.control,
+            divider: self.divider,
+            torque_noise: noise.torque,
+            encoder_step: noise.encoder_step,
+            encoder_noise: noise.encoder_steps,
+            process_noise: noise.process,
+            spikes_per_s: noise.spikes_per_s,
+        };
+        let trajectory = |(k, (plan, events)): (usize, (&Plan, &Vec<TipEvent>))| {
+            let mut random = Random::new(self.config.seed, stream::TRAJECTORY + k as u64);
+            run(&setup, plan.reference.as_ref(), events, plan.duration_s, plan.start_s, &mut random)
+        };
+        plans.par_iter().zip(&scene.events).enumerate().map(trajectory).collect()
+    }
+
+    /// Recordings of what was logged.
+    pub(crate) fn recordings(&self, plans: &[Plan], scene: &Scene, logged: &[Logged]) -> Vec<Recording> {
+        let warm_up: Vec<Option<f64>> =
+            scene.truth.joints.iter().map(|j| j.friction.thermal.first().map(|law| law.time_constant)).collect();
+        let entry = |(k, (plan, logged)): (usize, (&Plan, &Logged))| {
+            let mut random = Random::new(self.config.seed, stream::TEMPERATURE + k as u64);
+            let warm_up = self.config.log.temperature.then_some(warm_up.as_slice());
+            recording_of(self.robot, logged, k, warm_up, plan.start_s, &mut random)
+        };
+        plans.iter().zip(logged).enumerate().map(entry).collect()
+    }
+
+    fn report(&self, plans: &[Plan], scene: &Scene, behind: Vec<Logged>) -> Result<Simulation, BadInput> {
+        let recordings = self.recordings(plans, scene, &behind);
+        let file = |(r, p): (&Recording, &Plan)| ManifestFile {
+            file: r.name.clone(),
+            start_time_s: (p.start_s * 1e3).round() / 1e3,
+            duration_s: p.duration_s,
+        };
+        let files = recordings.iter().zip(plans).map(file).collect();
+        let manifest = Manifest { files, note: Manifest::NOTE.to_owned() };
+        let n = self.robot.joint_count();
+        let pooled = |i: usize| pooled_rms(behind.iter().filter_map(|l| l.hidden_nm.get(i)).map(Vec::as_slice));
+        let mut effects: Vec<EffectTruth> =
+            self.config.effects.iter().map(|e| EffectTruth::of(e, self.robot)).collect::<Result<_, _>>()?;
+        if self.config.measure_effects {
+            for (effect, size) in effects.iter_mut().zip(self.effect_sizes(plans, scene)?) {
+                effect.rms_nm = size;
+            }
+        }
+        let truth = Truth {
+            schema: Truth::SCHEMA.to_owned(),
+            robot: self.robot.name.clone(),
+            seed: self.config.seed,
+            mass_error: self.config.mass_error,
+            base: if self.config.friction.none { "ideal" } else { "friction" }.to_owned(),
+            base_params: self.friction.clone(),
+            effects,
+            events: recordings.iter().zip(&scene.events).map(|(r, e)| (r.name.clone(), EventTruth::of(e))).collect(),
+            noise: NoiseTruth {
+                torque_nm: self.noise.torque[..n].to_vec(),
+                encoder_step_rad: self.noise.encoder_step[..n].to_vec(),
+                encoder_steps: self.noise.encoder_steps,
+            },
+            hidden_rms_nm: (0..n).map(pooled).collect(),
+            oracle: Oracle::of(self.nominal, &recordings, &behind),
+            tracking_error_rad: behind.iter().map(|l| l.tracking_error_rad).fold(0.0, f64::max),
+        };
+        Ok(Simulation { recordings, manifest, truth, behind })
+    }
+
+    /// RMS torque per joint that each effect is behind: the hidden torque with all effects less that with
+    /// all but this one, both in closed loop on the same references without noise.
+    fn effect_sizes(&self, plans: &[Plan], scene: &Scene) -> Result<Vec<Vec<f64>>, BadInput> {
+        let quiet = self.noise.silenced();
+        let with = self.run(plans, scene, &quiet)?;
+        let size = |k: usize| {
+            let without = self.run(plans, &self.scene(plans, Some(k))?, &quiet)?;
+            let joint = |i: usize| {
+                let differences: Vec<Vec<f64>> = with
+                    .iter()
+                    .zip(&without)
+                    .map(|(a, b)| a.hidden_nm[i].iter().zip(&b.hidden_nm[i]).map(|(x, y)| x - y).collect())
+                    .collect();
+                pooled_rms(differences.iter().map(Vec::as_slice))
+            };
+            Ok((0..self.robot.joint_count()).map(joint).collect())
+        };
+        (0..self.config.effects.len()).map(size).collect()
     }
 }
 
@@ -181,10 +236,10 @@ fn perturb(truth: &mut TrueRobot, share: f64, random: &mut Random) {
         }
         Mechanism::Serial(chain) => {
             for link in &mut chain.links {
-                let mass = off();
+                let (mass, com) = (off(), off());
                 link.body.mass *= mass;
-                link.body.inertia *= mass;
-                link.body.com *= off();
+                link.body.moment *= mass * com;
+                link.body.inertia *= mass * com * com;
             }
         }
     }
@@ -208,28 +263,57 @@ fn base_friction(config: &FrictionConfig, scales: &Scales, truth: &mut TrueRobot
     base
 }
 
-struct Noise {
-    torque: Joints,
-    encoder_step: Joints,
+/// Noise of one robot's sensors and drives.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Noise {
+    /// On the logged torque, standard deviation [Nm].
+    pub torque: Joints,
+    /// Encoder step at the joint side [rad].
+    pub encoder_step: Joints,
+    /// Encoder noise [steps].
+    pub encoder_steps: f64,
+    /// Torque that truly acts [Nm].
+    pub process: Joints,
+    /// Spikes per second and joint.
+    pub spikes_per_s: f64,
 }
 
 /// Encoder assumed where the robot file gives no resolution [bit], motor side.
 const DEFAULT_BITS: f64 = 20.0;
 
-fn draw_noise(
-    robot: &RobotFile,
-    config: &SimulationConfig,
-    scales: &Scales,
-    truth: &TrueRobot,
-    random: &mut Random,
-) -> Noise {
-    let mut noise = Noise { torque: Joints::default(), encoder_step: Joints::default() };
-    let share = random.uniform(0.0025, 0.005);
-    for (i, joint) in truth.joints.iter().enumerate() {
-        noise.torque[i] = config.noise.torque_nm.get(i).copied().unwrap_or(share * scales.torque[i]);
-        let bits = robot.drive.encoder_bits.as_ref().and_then(|b| b.get(i)).unwrap_or(DEFAULT_BITS);
-        let step = std::f64::consts::TAU / bits.exp2() / joint.gear.abs();
-        noise.encoder_step[i] = config.noise.encoder_step_rad.unwrap_or(step);
+impl Noise {
+    pub(crate) fn draw(
+        robot: &RobotFile,
+        config: &SimulationConfig,
+        scales: &Scales,
+        truth: &TrueRobot,
+        random: &mut Random,
+    ) -> Self {
+        let mut noise = Self {
+            torque: Joints::default(),
+            encoder_step: Joints::default(),
+            encoder_steps: config.noise.encoder_steps,
+            process: scales.torque.map(|t| t * config.noise.process_share),
+            spikes_per_s: config.noise.spikes_per_s,
+        };
+        let share = random.uniform(0.0025, 0.005);
+        for (i, joint) in truth.joints.iter().enumerate() {
+            noise.torque[i] = config.noise.torque_nm.get(i).copied().unwrap_or(share * scales.torque[i]);
+            let bits = robot.drive.encoder_bits.as_ref().and_then(|b| b.get(i)).unwrap_or(DEFAULT_BITS);
+            let step = std::f64::consts::TAU / bits.exp2() / joint.gear.abs();
+            noise.encoder_step[i] = config.noise.encoder_step_rad.unwrap_or(step);
+        }
+        noise
     }
-    noise
+
+    /// The same encoder without any noise.
+    fn silenced(&self) -> Self {
+        Self {
+            torque: Joints::default(),
+            encoder_step: self.encoder_step,
+            encoder_steps: 0.0,
+            process: Joints::default(),
+            spikes_per_s: 0.0,
+        }
+    }
 }

@@ -1,8 +1,9 @@
 //! What is true of simulated recordings: the sealed answer.
 
-use crate::effects::Class;
+use crate::effects::{self, Class, TrueEffect};
+use crate::oracle::Oracle;
 use crate::plant::robot::TipEvent;
-use lacuna_interfaces::BadInput;
+use lacuna_interfaces::{BadInput, RobotFile};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -30,6 +31,30 @@ pub struct EffectTruth {
     pub params: BTreeMap<String, f64>,
     /// The law in words.
     pub law: String,
+    /// RMS torque per joint that the effect is behind [Nm]; empty unless the configuration asks for it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rms_nm: Vec<f64>,
+}
+
+impl EffectTruth {
+    pub(crate) fn of(effect: &TrueEffect, robot: &RobotFile) -> Result<Self, BadInput> {
+        let kind = effects::find(&effect.id)?;
+        let all = kind.scope == effects::Scope::Joint && effect.joints.is_empty();
+        Ok(Self {
+            id: effect.id.clone(),
+            cls: kind.class,
+            also_accept: kind.also_accept.iter().map(|s| (*s).to_owned()).collect(),
+            joints: if all { robot.joints.clone() } else { effect.joints.clone() },
+            params: effect.params.clone(),
+            law: kind.law.to_owned(),
+            rms_nm: Vec::new(),
+        })
+    }
+
+    /// True if a diagnosis can name it.
+    pub fn in_catalogue(&self) -> bool {
+        self.cls == Class::Catalogue
+    }
 }
 
 /// Something that happened at a time.
@@ -95,6 +120,8 @@ pub struct Truth {
     pub noise: NoiseTruth,
     /// RMS per joint of the noise-free torque that the robot file alone does not explain [Nm].
     pub hidden_rms_nm: Vec<f64>,
+    /// What the true model itself would leave of these recordings.
+    pub oracle: Oracle,
     /// Largest tracking error [rad].
     pub tracking_error_rad: f64,
 }

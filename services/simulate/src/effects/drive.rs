@@ -24,7 +24,7 @@ fn spring(v: &Values<'_>, w: &mut World<'_>, half_gap: f64) -> Result<(), BadInp
             return Err(BadInput::new(format!("{}: joint {} has a spring already", v.effect.id, i + 1)));
         }
         let stiffness = v.get("k");
-        let damping = 2.0 * v.get("zeta") * (stiffness * joint.rotor).sqrt();
+        let damping = 2.0 * v.get("zeta") * (stiffness * (inertia - w.scales.rotor[i])).max(0.0).sqrt();
         joint.transmission = Some(Transmission { stiffness, damping, half_gap });
     }
     Ok(())
@@ -39,11 +39,11 @@ pub const EFFECTS: &[Effect] = &[
         scope: Scope::Joint,
         kind: None,
         law: "constant torque",
-        parameters: &[parameter("c", "Nm", MUST, -1e4, 1e4)],
-        draw: |r, s, i| params(&[("c", r.sign() * r.uniform(0.03, 0.1) * s.torque[i])]),
+        parameters: &[parameter("tau_0", "Nm", MUST, -1e4, 1e4)],
+        draw: |r, s, i| params(&[("tau_0", r.sign() * r.uniform(0.03, 0.1) * s.torque[i])]),
         apply: |v, w| {
             for &i in &v.joints {
-                w.truth.joints[i].torque.push(JointTorque::Offset(v.get("c")));
+                w.truth.joints[i].torque.push(JointTorque::Offset(v.get("tau_0")));
             }
             Ok(())
         },
@@ -54,33 +54,30 @@ pub const EFFECTS: &[Effect] = &[
         also_accept: &[],
         scope: Scope::Joint,
         kind: None,
-        law: "a1 sin(h1 N θ + φ1) + a2 sin(h2 N θ + φ2), N the gear ratio, orders h per motor revolution",
+        law: "a_s sin(h N θ) + a_c cos(h N θ), N the gear ratio, h the order per motor revolution; a_s2, a_c2 at 2 h",
         parameters: &[
-            parameter("a1", "Nm", MUST, 0.0, 1e4),
-            parameter("h1", "1", MUST, 0.01, 1e3),
-            parameter("phi1", "rad", 0.0, -10.0, 10.0),
-            parameter("a2", "Nm", 0.0, 0.0, 1e4),
-            parameter("h2", "1", 2.0, 0.01, 1e3),
-            parameter("phi2", "rad", 0.0, -10.0, 10.0),
+            parameter("a_s", "Nm", 0.0, -1e4, 1e4),
+            parameter("a_c", "Nm", 0.0, -1e4, 1e4),
+            parameter("h", "1/rev", MUST, 0.01, 1e3),
+            parameter("a_s2", "Nm", 0.0, -1e4, 1e4),
+            parameter("a_c2", "Nm", 0.0, -1e4, 1e4),
         ],
         draw: |r, s, i| {
+            let (sin, cos) = (TAU * r.unit()).sin_cos();
+            let (sin2, cos2) = (TAU * r.unit()).sin_cos();
+            let a = r.uniform(0.02, 0.05) * s.torque[i];
+            let a2 = if r.unit() < 0.5 { 0.0 } else { r.uniform(0.01, 0.02) * s.torque[i] };
             let h = [1.0, 2.0][r.index(2)];
-            params(&[
-                ("a1", r.uniform(0.015, 0.05) * s.torque[i]),
-                ("h1", h),
-                ("phi1", TAU * r.unit()),
-                ("a2", r.uniform(0.0, 0.02) * s.torque[i]),
-                ("h2", 2.0 * h),
-                ("phi2", TAU * r.unit()),
-            ])
+            params(&[("a_s", a * sin), ("a_c", a * cos), ("h", h), ("a_s2", a2 * sin2), ("a_c2", a2 * cos2)])
         },
         apply: |v, w| {
             for &i in &v.joints {
                 let joint = &mut w.truth.joints[i];
-                for [a, h, phi] in [["a1", "h1", "phi1"], ["a2", "h2", "phi2"]] {
-                    let (amplitude, order) = (v.get(a), v.get(h) * joint.gear.abs());
-                    if amplitude > 0.0 {
-                        joint.torque.push(JointTorque::Ripple { amplitude, order, phase: v.get(phi) });
+                for (s, c, multiple) in [("a_s", "a_c", 1.0), ("a_s2", "a_c2", 2.0)] {
+                    let (sine, cosine) = (v.get(s), v.get(c));
+                    if sine != 0.0 || cosine != 0.0 {
+                        let order = multiple * v.get("h") * joint.gear;
+                        joint.torque.push(JointTorque::Ripple { sine, cosine, order });
                     }
                 }
             }
@@ -104,20 +101,20 @@ pub const EFFECTS: &[Effect] = &[
         also_accept: &[],
         scope: Scope::Joint,
         kind: None,
-        law: "half gap between motor and link, flanks of stiffness k",
+        law: "half gap b between motor and link, flanks of stiffness k",
         parameters: &[
-            parameter("half_gap", "rad", MUST, 1e-5, 0.2),
+            parameter("b", "rad", MUST, 1e-5, 0.2),
             parameter("k", "Nm/rad", MUST, 1.0, 1e8),
             parameter("zeta", "1", 0.1, 0.0, 1.0),
         ],
         draw: |r, s, i| {
             params(&[
-                ("half_gap", r.log_uniform(1e-3, 6e-3)),
+                ("b", r.log_uniform(1e-3, 6e-3)),
                 ("k", r.log_uniform(400.0, 1000.0) * s.torque[i]),
                 ("zeta", r.uniform(0.08, 0.2)),
             ])
         },
-        apply: |v, w| spring(v, w, v.get("half_gap")),
+        apply: |v, w| spring(v, w, v.get("b")),
     },
     Effect {
         id: "rotor_inertia",
@@ -149,16 +146,16 @@ pub const EFFECTS: &[Effect] = &[
         also_accept: &[],
         scope: Scope::Pair,
         kind: Some(Kind::Serial),
-        law: "the second joint's motor turns by θ₂ + ratio θ₁: its inertia and friction are felt on both",
+        law: "the second joint's motor turns by θ₂ + ρ θ₁: its inertia and friction are felt on both",
         parameters: &[
-            parameter("ratio", "1", 1.0, -10.0, 10.0),
+            parameter("rho", "1", 1.0, -10.0, 10.0),
             parameter("J", "kg m²", MUST, 0.0, 1e4),
             parameter("f_v", "Nm s/rad", 0.0, 0.0, 1e4),
             parameter("f_c", "Nm", 0.0, 0.0, 1e4),
         ],
         draw: |r, s, i| {
             params(&[
-                ("ratio", r.sign()),
+                ("rho", r.sign()),
                 ("J", r.uniform(0.1, 0.3) * s.inertia[i + 1]),
                 ("f_v", r.uniform(0.1, 0.3) * s.torque[i + 1] / s.limits.qd_max[i + 1]),
                 ("f_c", r.uniform(0.05, 0.2) * s.torque[i + 1]),
@@ -174,7 +171,7 @@ pub const EFFECTS: &[Effect] = &[
             let rotor = &mut w.truth.joints[motor].rotor;
             *rotor -= rotor.min(inertia);
             let (viscous, coulomb) = (v.get("f_v"), v.get("f_c"));
-            w.truth.couplings.push(Coupling { motor, felt, ratio: v.get("ratio"), inertia, viscous, coulomb });
+            w.truth.couplings.push(Coupling { motor, felt, ratio: v.get("rho"), inertia, viscous, coulomb });
             Ok(())
         },
     },
@@ -184,12 +181,12 @@ pub const EFFECTS: &[Effect] = &[
         also_accept: &[],
         scope: Scope::Joint,
         kind: None,
-        law: "real over nominal torque constant",
-        parameters: &[parameter("scale", "1", MUST, 0.2, 5.0)],
-        draw: |r, _, _| params(&[("scale", 1.0 + r.sign() * r.uniform(0.06, 0.15))]),
+        law: "reported torque = (1 + g) true torque",
+        parameters: &[parameter("g", "1", MUST, -0.8, 10.0)],
+        draw: |r, _, _| params(&[("g", r.sign() * r.uniform(0.06, 0.15))]),
         apply: |v, w| {
             for &i in &v.joints {
-                w.truth.joints[i].torque_constant *= v.get("scale");
+                w.truth.joints[i].torque_constant /= 1.0 + v.get("g");
             }
             Ok(())
         },
@@ -200,13 +197,20 @@ pub const EFFECTS: &[Effect] = &[
         also_accept: &[],
         scope: Scope::Joint,
         kind: None,
-        law: "torque constant 1 − drop (|u|/knee − 1) above the knee",
-        parameters: &[parameter("knee", "Nm", MUST, 1e-6, 1e6), parameter("drop", "1", MUST, 0.0, 0.9)],
-        draw: |r, s, i| params(&[("knee", r.uniform(0.5, 0.9) * s.torque[i]), ("drop", r.uniform(0.08, 0.2))]),
+        law: "reported τ + a τ_k ((|τ| − τ_k)/τ_k)^p sgn τ above the knee τ_k",
+        parameters: &[
+            parameter("a", "1", MUST, 0.0, 20.0),
+            parameter("tau_k", "Nm", MUST, 1e-6, 1e6),
+            parameter("p", "1", 1.0, 0.5, 4.0),
+        ],
+        draw: |r, s, i| {
+            let p = if r.unit() < 0.5 { 1.0 } else { 2.0 };
+            params(&[("a", r.uniform(0.1, 0.3)), ("tau_k", r.uniform(0.5, 0.9) * s.torque[i]), ("p", p)])
+        },
         apply: |v, w| {
             for &i in &v.joints {
-                let drop = v.get("drop");
-                w.truth.joints[i].saturation = (drop > 0.0).then_some(Saturation { knee: v.get("knee"), drop });
+                let law = Saturation { knee: v.get("tau_k"), strength: v.get("a"), order: v.get("p") };
+                w.truth.joints[i].saturation = Some(law);
             }
             Ok(())
         },
@@ -217,11 +221,11 @@ pub const EFFECTS: &[Effect] = &[
         also_accept: &[],
         scope: Scope::Structure,
         kind: None,
-        law: "logged τ(t) is the executed torque of t − delay",
-        parameters: &[parameter("delay", "s", MUST, -1e-3, 0.05)],
-        draw: |r, _, _| params(&[("delay", r.uniform(3e-4, 1.5e-3))]),
+        law: "logged τ(t) is the executed torque of t − D",
+        parameters: &[parameter("D", "s", MUST, -1e-3, 0.05)],
+        draw: |r, _, _| params(&[("D", r.uniform(3e-4, 1.5e-3))]),
         apply: |v, w| {
-            w.truth.torque_delay += v.get("delay");
+            w.truth.torque_delay += v.get("D");
             Ok(())
         },
     },
@@ -231,12 +235,12 @@ pub const EFFECTS: &[Effect] = &[
         also_accept: &["link_length"],
         scope: Scope::Joint,
         kind: None,
-        law: "reading = angle + offset",
-        parameters: &[parameter("offset", "rad", MUST, -0.5, 0.5)],
-        draw: |r, _, _| params(&[("offset", r.sign() * r.uniform(0.006, 0.025))]),
+        law: "true angle = reading + q_0",
+        parameters: &[parameter("q_0", "rad", MUST, -0.5, 0.5)],
+        draw: |r, _, _| params(&[("q_0", r.sign() * r.uniform(0.006, 0.025))]),
         apply: |v, w| {
             for &i in &v.joints {
-                w.truth.joints[i].encoder_offset += v.get("offset");
+                w.truth.joints[i].encoder_offset -= v.get("q_0");
             }
             Ok(())
         },

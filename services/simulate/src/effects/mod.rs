@@ -133,8 +133,8 @@ pub struct Scales {
     pub gear: Joints,
     /// Largest distance of the tip from the base [m] (Delta: the upper arm's length).
     pub reach: f64,
-    /// Motor pole pairs.
-    pub pole_pairs: f64,
+    /// A Delta's point mass at either end of a forearm, m2 [kg]; 0 for chains.
+    pub forearm_point: f64,
 }
 
 impl Scales {
@@ -151,7 +151,7 @@ impl Scales {
             rotor: Joints::default(),
             gear: Joints::default(),
             reach: 0.0,
-            pole_pairs: robot.drive.pole_pairs.as_ref().and_then(|p| p.get(0)).unwrap_or(4.0),
+            forearm_point: robot.mass.as_ref().map_or(0.0, |m| m.forearm_point),
             limits,
         };
         let mut q = Joints::default();
@@ -200,7 +200,7 @@ struct World<'a> {
     /// Per trajectory: duration [s] and times between which an object is carried.
     plans: &'a [(f64, Vec<(f64, f64)>)],
     scales: &'a Scales,
-    random: &'a mut Random,
+    random: Random,
 }
 
 /// Every effect.
@@ -251,7 +251,8 @@ pub fn draw_effect(
         }
     };
     let mut params = (effect.draw)(random, scales, first);
-    for p in effect.parameters.iter().filter(|p| STRENGTHS.contains(&p.symbol)) {
+    let grows = |p: &&Parameter| STRENGTHS.contains(&p.symbol) || (id == "encoder_offset" && p.symbol == "q_0");
+    for p in effect.parameters.iter().filter(grows) {
         if let Some(v) = params.get_mut(p.symbol) {
             *v = (*v * severity).clamp(p.low, p.high);
         }
@@ -261,37 +262,44 @@ pub fn draw_effect(
 
 /// Symbols that grow with severity; all others are shapes and places.
 const STRENGTHS: &[&str] = &[
-    "d",
-    "c",
-    "f_s_excess",
+    "a_c",
+    "f_sc",
     "a",
     "mu",
-    "cold_excess",
-    "a1",
-    "a2",
+    "mu_v",
+    "b",
+    "tau_0",
+    "a_s",
+    "a_s2",
+    "a_c2",
     "J",
-    "dI",
-    "dm",
-    "torque",
-    "moment",
-    "mass",
-    "A",
-    "k1",
-    "k3",
-    "force",
+    "I",
+    "m_1",
+    "m_2",
+    "m",
+    "m_x",
+    "m_y",
+    "m_z",
+    "k_1",
+    "k_3",
+    "F",
     "height",
     "level",
     "peak",
     "limit",
     "amplitude",
-    "tilt_x",
-    "tilt_y",
-    "offset",
-    "dl1",
-    "dl2",
+    "tilt_1",
+    "tilt_2",
     "dl",
-    "delay",
-    "drop",
+    "dl_2",
+    "D",
+    "g",
+    "c",
+    "f_c",
+    "f_v",
+    "ds_1",
+    "ds_2",
+    "dm",
 ];
 
 fn check_kind(effect: &Effect, robot: &RobotFile) -> Result<(), BadInput> {
@@ -304,7 +312,19 @@ fn check_kind(effect: &Effect, robot: &RobotFile) -> Result<(), BadInput> {
     }
 }
 
-/// Writes effects into the true robot and its tip events.
+/// Where effects are written to.
+#[derive(Debug)]
+pub struct Target<'a> {
+    /// The true robot.
+    pub truth: &'a mut TrueRobot,
+    /// Per trajectory: what happens at the tip.
+    pub events: &'a mut [Vec<TipEvent>],
+    /// Per trajectory: duration [s] and times between which an object is carried.
+    pub plans: &'a [(f64, Vec<(f64, f64)>)],
+}
+
+/// Writes effects into the true robot and its tip events, all but number `left_out`. What an effect draws
+/// depends on `seed` and its place in the list alone, so leaving one out does not change another.
 ///
 /// # Errors
 /// [`BadInput`] for an unknown id, joint or parameter, a missing or out-of-range value, or an effect that this
@@ -312,24 +332,30 @@ fn check_kind(effect: &Effect, robot: &RobotFile) -> Result<(), BadInput> {
 pub fn apply(
     effects: &[TrueEffect],
     robot: &RobotFile,
-    truth: &mut TrueRobot,
-    events: &mut [Vec<TipEvent>],
-    plans: &[(f64, Vec<(f64, f64)>)],
     scales: &Scales,
-    random: &mut Random,
+    target: Target<'_>,
+    seed: u64,
+    left_out: Option<usize>,
 ) -> Result<(), BadInput> {
-    let mut world = World { truth, events, plans, scales, random };
+    let Target { truth, events, plans } = target;
+    let mut world = World { truth, events, plans, scales, random: Random::new(seed, 0) };
     for (k, given) in effects.iter().enumerate() {
         let place = |e: BadInput| BadInput { what: format!("effect[{k}]: {}", e.what), ..e };
         let effect = find(&given.id).map_err(place)?;
         check_kind(effect, robot).map_err(place)?;
         let joints = joints_of(effect, given, robot).map_err(place)?;
         check_parameters(effect, given).map_err(place)?;
-        let values = Values { effect, given: &given.params, joints };
-        (effect.apply)(&values, &mut world).map_err(place)?;
+        if left_out == Some(k) {
+            continue;
+        }
+        world.random = Random::new(seed, STREAM + k as u64);
+        (effect.apply)(&Values { effect, given: &given.params, joints }, &mut world).map_err(place)?;
     }
     Ok(())
 }
+
+/// First random stream of effects.
+const STREAM: u64 = 1 << 22;
 
 fn joints_of(effect: &Effect, given: &TrueEffect, robot: &RobotFile) -> Result<Vec<usize>, BadInput> {
     let mut joints = Vec::new();

@@ -74,6 +74,8 @@ pub struct Delta {
     pub forearm: [Forearm; 3],
     /// Platform mass [kg].
     pub platform_kg: f64,
+    /// Mass at the platform that weighs without being inert [kg]: fitted models may have it, robots not.
+    pub weighing_kg: f64,
     /// Friction of the ball joints.
     pub ball: BallFriction,
 }
@@ -130,6 +132,7 @@ impl Delta {
             arm: [arm; 3],
             forearm: [forearm; 3],
             platform_kg: m.platform,
+            weighing_kg: 0.0,
             ball: BallFriction::default(),
         }
     }
@@ -214,7 +217,7 @@ impl Delta {
         }
         let g = loads.gravity;
         let platform = self.platform_kg + loads.payload_kg;
-        let wrench = (xb - g) * platform - loads.force + xd * (loads.drag * xd.norm());
+        let wrench = xb * platform - g * (platform + self.weighing_kg) - loads.force + xd * (loads.drag * xd.norm());
         for a in 0..3 {
             for b in 0..=a {
                 out.inertia[a][b] = platform * jac[a].dot(&jac[b]);
@@ -283,7 +286,7 @@ impl Delta {
     /// [`Unreachable`] outside the workspace.
     pub fn potential(&self, q: &Joints, loads: &Loads) -> Result<f64, Unreachable> {
         let k = self.legs(q)?;
-        let mut moment = k.x * (self.platform_kg + loads.payload_kg);
+        let mut moment = k.x * (self.platform_kg + self.weighing_kg + loads.payload_kg);
         for i in 0..3 {
             let elbow = self.elbow(i, &k.e[i]);
             let rod = &self.forearm[i];

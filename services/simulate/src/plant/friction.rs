@@ -31,12 +31,12 @@ pub struct LoadFriction {
     pub viscous: f64,
 }
 
-/// Viscous friction of a cold drive: f_v (1 + a exp(−t/τ)).
+/// Excess viscous friction of a cold drive: b exp(−t/τ_w) θ̇.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Thermal {
-    /// a.
+    /// b [Nm s/rad].
     pub excess: f64,
-    /// τ [s].
+    /// τ_w [s].
     pub time_constant: f64,
 }
 
@@ -81,11 +81,11 @@ pub enum Bristle {
         /// δ [rad].
         travel: f64,
     },
-    /// LuGre: ż = θ̇ − |θ̇| z/δ(θ̇), torque level · z/δ + σ1 ż.
+    /// LuGre, z the bend over its limit: δ ż = θ̇ − |θ̇| z, torque level · z + f_1 ż.
     LuGre {
         /// δ [rad].
         travel: f64,
-        /// σ1 [Nm s/rad].
+        /// f_1 [Nm s].
         damping: f64,
     },
     /// Maxwell slip: [`SLIPS`] springs of equal share that slip at growing travel up to 2 δ.
@@ -124,10 +124,7 @@ impl Bristle {
     pub fn torque(&self, state: &BristleState, level: f64, v: f64) -> f64 {
         match *self {
             Self::Dahl { .. } => level * state[0],
-            Self::LuGre { damping, .. } => {
-                let z_dot = v - v.abs() * state[0];
-                level * state[0] + damping * z_dot
-            }
+            Self::LuGre { travel, damping } => level * state[0] + damping * (v - v.abs() * state[0]) / travel,
             Self::Maxwell { .. } => level * state.iter().sum::<f64>() / SLIPS as f64,
         }
     }
@@ -219,7 +216,7 @@ impl JointFriction {
     pub fn drag(&self, at: &Contact) -> f64 {
         let mut viscous = self.viscous;
         for t in &self.thermal {
-            viscous += self.viscous * t.excess * (-at.warm_s / t.time_constant).exp();
+            viscous += t.excess * (-at.warm_s / t.time_constant).exp();
         }
         for l in &self.load {
             viscous += l.viscous * at.load.abs();

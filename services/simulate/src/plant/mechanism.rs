@@ -12,8 +12,8 @@ pub struct Loads {
     pub gravity: Vector3<f64>,
     /// Payload mass at the tip [kg], a point.
     pub payload_kg: f64,
-    /// Place of the payload in the tip's frame [m]; a Delta's platform does not turn, so it has no use for it.
-    pub payload_at: Vector3<f64>,
+    /// First moment of the payload in the tip's frame [kg m]; a Delta's platform does not turn and feels none.
+    pub payload_moment: Vector3<f64>,
     /// External force on the tip, base frame [N].
     pub force: Vector3<f64>,
     /// Square-law drag coefficient of the tip [N s²/m²].
@@ -26,7 +26,7 @@ impl Loads {
         Self {
             gravity: gravity.into(),
             payload_kg: 0.0,
-            payload_at: Vector3::zeros(),
+            payload_moment: Vector3::zeros(),
             force: Vector3::zeros(),
             drag: 0.0,
         }

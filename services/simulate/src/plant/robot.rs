@@ -41,21 +41,21 @@ impl Transmission {
 pub enum JointTorque {
     /// Constant [Nm].
     Offset(f64),
-    /// amplitude · sin(order θ + phase); order per joint radian.
+    /// a_s sin(order θ) + a_c cos(order θ).
     Ripple {
-        /// Amplitude [Nm].
-        amplitude: f64,
+        /// a_s [Nm].
+        sine: f64,
+        /// a_c [Nm].
+        cosine: f64,
         /// Periods per 2π of the joint.
         order: f64,
-        /// Phase [rad].
-        phase: f64,
     },
-    /// A sin(θ − θ0), on the link.
+    /// The same of order 1, on the link.
     GravitySpring {
-        /// A [Nm].
-        amplitude: f64,
-        /// θ0 [rad].
-        centre: f64,
+        /// a_s [Nm].
+        sine: f64,
+        /// a_c [Nm].
+        cosine: f64,
     },
     /// k1 Δ + k3 Δ³, Δ = θ − θ_c, on the link.
     Cable {
@@ -73,8 +73,11 @@ impl JointTorque {
     pub fn at(&self, q: f64) -> f64 {
         match *self {
             Self::Offset(c) => c,
-            Self::Ripple { amplitude, order, phase } => amplitude * (order * q + phase).sin(),
-            Self::GravitySpring { amplitude, centre } => amplitude * (q - centre).sin(),
+            Self::Ripple { sine, cosine, order } => {
+                let (sin, cos) = (order * q).sin_cos();
+                sine * sin + cosine * cos
+            }
+            Self::GravitySpring { sine, cosine } => sine * q.sin() + cosine * q.cos(),
             Self::Cable { linear, cubic, centre } => {
                 let d = q - centre;
                 linear * d + cubic * d * d * d
@@ -88,23 +91,36 @@ impl JointTorque {
     }
 }
 
-/// Torque constant that falls above a knee: τ = u (1 − drop (|u|/knee − 1)) for |u| > knee.
+/// Torque constant that falls above a knee: the drive reports u = τ + a τ_k ((|τ| − τ_k)/τ_k)^p sgn τ.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Saturation {
-    /// Knee [Nm].
+    /// Knee τ_k [Nm].
     pub knee: f64,
-    /// Share lost per knee torque above the knee.
-    pub drop: f64,
+    /// Strength a.
+    pub strength: f64,
+    /// Order p: 1 a kink, 2 a bend.
+    pub order: f64,
 }
 
 impl Saturation {
-    /// Delivered torque for a commanded one; never falls with a rising command.
+    /// Torque delivered for a reported one: the law solved for τ.
     pub fn delivered(&self, u: f64) -> f64 {
-        let over = (u.abs() / self.knee - 1.0).max(0.0);
-        // Peak of u (1 − drop over): beyond it the motor gives no more.
-        let peak = (1.0 - self.drop).max(0.0) / (2.0 * self.drop);
-        let over = over.min(peak.max(0.0));
-        u.signum() * if u.abs() <= self.knee { u.abs() } else { self.knee * (1.0 + over) * (1.0 - self.drop * over) }
+        let over = u.abs() / self.knee - 1.0;
+        if over <= 0.0 {
+            return u;
+        }
+        // x + a x^p = over, x the delivered excess; between 0 and `over` the left side rises. Bisection needs
+        // no slope, which is infinite at the knee for p < 1.
+        let (mut low, mut high) = (0.0, over);
+        for _ in 0..60 {
+            let x = 0.5 * (low + high);
+            if x + self.strength * x.powf(self.order) > over {
+                high = x;
+            } else {
+                low = x;
+            }
+        }
+        u.signum() * self.knee * (1.0 + 0.5 * (low + high))
     }
 }
 
@@ -188,8 +204,8 @@ pub enum TipEvent {
         off: f64,
         /// Mass [kg].
         mass: f64,
-        /// Distance of its centre of mass from the wrist's axis [m].
-        eccentricity: f64,
+        /// First moment off the wrist's axis, tip frame (Delta: at t = 0) [kg m].
+        moment: [f64; 3],
         /// Speed of the wrist on a Delta [rad/s]; a serial arm turns its own.
         wrist_rad_s: f64,
     },
@@ -207,17 +223,19 @@ pub enum TipEvent {
 impl TipEvent {
     fn add(&self, t: f64, turning: bool, loads: &mut Loads) {
         match *self {
-            Self::Payload { on, off, mass, eccentricity, wrist_rad_s } => {
-                if !(t >= on && t < off) {
+            Self::Payload { on, off, mass, moment, wrist_rad_s } => {
+                if !(on..off).contains(&t) {
                     return;
                 }
                 loads.payload_kg += mass;
+                let [x, y, _] = moment;
                 if turning {
-                    loads.payload_at = Vector3::new(eccentricity, 0.0, 0.0);
+                    loads.payload_moment += Vector3::from(moment);
                 } else {
                     // The wrist turns at constant speed: the platform feels the centrifugal force.
                     let (sin, cos) = (wrist_rad_s * t).sin_cos();
-                    loads.force += Vector3::new(cos, sin, 0.0) * (mass * eccentricity * wrist_rad_s * wrist_rad_s);
+                    loads.force +=
+                        Vector3::new(cos * x - sin * y, sin * x + cos * y, 0.0) * (wrist_rad_s * wrist_rad_s);
                 }
             }
             Self::Push { on, duration, force } => {
@@ -307,7 +325,7 @@ impl TrueRobot {
         let mut loads = Loads {
             gravity: self.gravity,
             payload_kg: 0.0,
-            payload_at: Vector3::zeros(),
+            payload_moment: Vector3::zeros(),
             force: Vector3::zeros(),
             drag: self.air_drag,
         };

@@ -12,50 +12,66 @@ use super::urdf;
 use super::{Dynamics, Loads};
 use lacuna_interfaces::robot::{DhRow, JointType, LinkInertia};
 use lacuna_interfaces::{BadInput, Joints, MAX_JOINTS, RobotFile};
-use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
 type V3 = Vector3<f64>;
 
-/// A body's mass, centre of mass and inertia about it, in the body's frame.
+/// A body by its linear inertial parameters, in the body's frame. Parameters that were fitted to torques need
+/// not belong to any real body; the chain's equations hold for them all the same.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Body {
     /// Mass [kg].
     pub mass: f64,
-    /// Centre of mass [m].
-    pub com: V3,
-    /// Inertia about the centre of mass [kg m²].
+    /// First moment, mass times centre of mass [kg m].
+    pub moment: V3,
+    /// Inertia about the frame's origin [kg m²].
     pub inertia: Matrix3<f64>,
 }
 
 impl Default for Body {
     fn default() -> Self {
-        Self { mass: 0.0, com: V3::zeros(), inertia: Matrix3::zeros() }
+        Self { mass: 0.0, moment: V3::zeros(), inertia: Matrix3::zeros() }
     }
 }
 
+/// a·b 1 − (a bᵀ + b aᵀ)/2: the inertia that unit mass products at a and b make.
+fn spread(a: &V3, b: &V3) -> Matrix3<f64> {
+    Matrix3::identity() * a.dot(b) - (a * b.transpose() + b * a.transpose()) * 0.5
+}
+
 impl Body {
+    /// From mass, centre of mass [m] and the inertia about it [kg m²].
+    pub fn new(mass: f64, com: V3, about_com: Matrix3<f64>) -> Self {
+        Self { mass, moment: com * mass, inertia: about_com + spread(&com, &com) * mass }
+    }
+
     /// The body as seen from a frame in which its own frame is placed at `at`.
+    #[must_use]
     pub fn placed(&self, at: &Isometry3<f64>) -> Self {
         let r = at.rotation.to_rotation_matrix();
+        let p = at.translation.vector;
+        let turned = r * self.moment;
         Self {
             mass: self.mass,
-            com: at.transform_point(&Point3::from(self.com)).coords,
-            inertia: r.matrix() * self.inertia * r.matrix().transpose(),
+            moment: turned + p * self.mass,
+            inertia: r.matrix() * self.inertia * r.matrix().transpose()
+                + spread(&p, &turned) * 2.0
+                + spread(&p, &p) * self.mass,
         }
     }
 
     /// Both bodies fixed to each other.
+    #[must_use]
     pub fn merged(&self, other: &Self) -> Self {
-        let mass = self.mass + other.mass;
-        if mass == 0.0 {
-            return Self { mass, com: self.com, inertia: self.inertia + other.inertia };
+        Self { mass: self.mass + other.mass, moment: self.moment + other.moment, inertia: self.inertia + other.inertia }
+    }
+
+    /// Momentum (angular about the origin, linear) of the body under a twist.
+    fn times(&self, v: &Screw) -> Screw {
+        Screw {
+            angular: self.inertia * v.angular + self.moment.cross(&v.linear),
+            linear: v.linear * self.mass - self.moment.cross(&v.angular),
         }
-        let com = (self.com * self.mass + other.com * other.mass) / mass;
-        let parallel = |b: &Self| {
-            let d = b.com - com;
-            b.inertia + (Matrix3::identity() * d.norm_squared() - d * d.transpose()) * b.mass
-        };
-        Self { mass, com, inertia: parallel(self) + parallel(other) }
     }
 }
 
@@ -79,6 +95,9 @@ pub struct Serial {
     pub links: Vec<Link>,
     /// Tip frame in the last body's frame.
     pub tip: Isometry3<f64>,
+    /// Per joint: the frame that the robot's description places the body in, in the body's frame. DH rows
+    /// describe a link in the frame at its end, a URDF in the joint's own.
+    pub described_in: Vec<Isometry3<f64>>,
 }
 
 /// Twist or wrench as (angular, linear) about the base origin.
@@ -118,46 +137,11 @@ impl Screw {
     }
 }
 
-/// Spatial inertia about the base origin.
-#[derive(Debug, Clone, Copy)]
-struct Inertia {
-    mass: f64,
-    moment: V3,
-    about_origin: Matrix3<f64>,
-}
-
-impl Inertia {
-    fn zero() -> Self {
-        Self { mass: 0.0, moment: V3::zeros(), about_origin: Matrix3::zeros() }
-    }
-
-    fn of(body: &Body) -> Self {
-        let c = body.com;
-        Self {
-            mass: body.mass,
-            moment: c * body.mass,
-            about_origin: body.inertia + (Matrix3::identity() * c.norm_squared() - c * c.transpose()) * body.mass,
-        }
-    }
-
-    fn add(&mut self, other: &Self) {
-        self.mass += other.mass;
-        self.moment += other.moment;
-        self.about_origin += other.about_origin;
-    }
-
-    fn times(&self, v: &Screw) -> Screw {
-        Screw {
-            angular: self.about_origin * v.angular + self.moment.cross(&v.linear),
-            linear: v.linear * self.mass - self.moment.cross(&v.angular),
-        }
-    }
-}
-
 /// The chain's geometry at one pose.
 struct Pose {
     screws: [Screw; MAX_JOINTS],
-    bodies: [Inertia; MAX_JOINTS],
+    /// Bodies about the base origin.
+    bodies: [Body; MAX_JOINTS],
     tip: Isometry3<f64>,
 }
 
@@ -183,6 +167,7 @@ impl Serial {
         }
         let mut links = Vec::new();
         let mut rotors = Vec::new();
+        let mut described_in = Vec::new();
         let mut before = Isometry3::identity();
         for (i, row) in robot.dh.iter().enumerate() {
             let link = robot.link.get(i).cloned().unwrap_or_default();
@@ -194,14 +179,15 @@ impl Serial {
                 body: dh_body(&link).placed(&fixed),
             });
             rotors.push(link.rotor_inertia);
+            described_in.push(fixed);
             before = fixed;
         }
-        Ok((Self { links, tip: before }, rotors))
+        Ok((Self { links, tip: before, described_in }, rotors))
     }
 
     fn pose(&self, q: &Joints, loads: &Loads) -> Pose {
         let mut pose =
-            Pose { screws: [Screw::zero(); MAX_JOINTS], bodies: [Inertia::zero(); MAX_JOINTS], tip: self.tip };
+            Pose { screws: [Screw::zero(); MAX_JOINTS], bodies: [Body::default(); MAX_JOINTS], tip: self.tip };
         let mut frame = Isometry3::identity();
         for (i, link) in self.links.iter().enumerate().take(MAX_JOINTS) {
             let joint = frame * link.place;
@@ -213,14 +199,16 @@ impl Serial {
                 pose.screws[i] = Screw { angular: axis, linear: joint.translation.vector.cross(&axis) };
                 frame = joint * UnitQuaternion::from_scaled_axis(link.axis * q[i]);
             }
-            pose.bodies[i] = Inertia::of(&link.body.placed(&frame));
+            pose.bodies[i] = link.body.placed(&frame);
         }
         pose.tip = frame * self.tip;
-        if loads.payload_kg != 0.0 {
-            let com = pose.tip.transform_point(&Point3::from(loads.payload_at)).coords;
-            let payload = Body { mass: loads.payload_kg, com, inertia: Matrix3::zeros() };
+        if loads.payload_kg != 0.0 || loads.payload_moment != V3::zeros() {
+            let mut payload = Body { mass: loads.payload_kg, moment: loads.payload_moment, ..Body::default() };
+            if payload.mass > 0.0 {
+                payload.inertia = spread(&payload.moment, &payload.moment) / payload.mass;
+            }
             if let Some(last) = pose.bodies.get_mut(self.links.len().saturating_sub(1)) {
-                last.add(&Inertia::of(&payload));
+                *last = last.merged(&payload.placed(&pose.tip));
             }
         }
         pose
@@ -246,10 +234,10 @@ impl Serial {
         if let Some(last) = wrench.get_mut(n.saturating_sub(1)) {
             *last = last.plus(&Screw { angular: tip.cross(&force), linear: force }, -1.0);
         }
-        let mut composite = Inertia::zero();
+        let mut composite = Body::default();
         let mut total = Screw::zero();
         for j in (0..n).rev() {
-            composite.add(&pose.bodies[j]);
+            composite = composite.merged(&pose.bodies[j]);
             total = total.plus(&wrench[j], 1.0);
             out.bias[j] = pose.screws[j].dot(&total);
             let momentum = composite.times(&pose.screws[j]);
@@ -284,7 +272,7 @@ fn dh_frames(row: &DhRow) -> (Isometry3<f64>, Isometry3<f64>) {
 
 fn dh_body(link: &LinkInertia) -> Body {
     let [xx, xy, xz, yy, yz, zz] = link.inertia;
-    Body { mass: link.mass, com: link.com.into(), inertia: Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz) }
+    Body::new(link.mass, link.com.into(), Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz))
 }
 
 /// Placement from a URDF `origin`: xyz and fixed-axis roll, pitch, yaw.

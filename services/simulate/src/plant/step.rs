@@ -155,10 +155,10 @@ impl<'a> Stepper<'a> {
             *v += half * a;
         }
         let (mut q_mid, mut motor_mid, mut qd_mid) = (self.q, self.motor, Joints::default());
+        qd_mid.copy_from_slice(&v_mid[..MAX_JOINTS]);
         for i in 0..n {
             q_mid[i] += half * self.v[i];
             motor_mid[i] += half * self.v[self.motor_dof(i)];
-            qd_mid[i] = v_mid[i];
         }
         let loads = self.robot.loads(middle, self.events);
         self.robot.mechanism.dynamics(&q_mid, &qd_mid, &loads, &mut self.dynamics)?;

@@ -65,7 +65,29 @@ pub fn chain(text: &str, names: &[String]) -> Result<(Serial, Vec<f64>), BadInpu
         links.push(Link { place, axis: axis(joint)?, prismatic, body });
     }
     let rotors = vec![0.0; links.len()];
-    Ok((Serial { links, tip: Isometry3::identity() }, rotors))
+    let tip = match names.last() {
+        Some(last) => flange(&joints, link_name(by_name(last)?, "child")?)?,
+        None => Isometry3::identity(),
+    };
+    let described_in = vec![Isometry3::identity(); links.len()];
+    Ok((Serial { links, tip, described_in }, rotors))
+}
+
+/// The frame behind a link as long as exactly one fixed joint leads on.
+fn flange(joints: &[Node], link: &str) -> Result<Isometry3<f64>, BadInput> {
+    let mut at = link;
+    let mut frame = Isometry3::identity();
+    for _ in 0..MAX_DEPTH {
+        let mut next = joints.iter().filter(|j| link_name(**j, "parent").ok() == Some(at));
+        match (next.next(), next.next()) {
+            (Some(joint), None) if joint.attribute("type") == Some("fixed") => {
+                frame *= origin(*joint)?;
+                at = link_name(*joint, "child")?;
+            }
+            _ => return Ok(frame),
+        }
+    }
+    Err(circle(link))
 }
 
 fn parent_of<'a, 'd>(joints: &[Node<'a, 'd>], link: &str) -> Found<'a, 'd> {
@@ -139,6 +161,6 @@ fn inertial(link: Node) -> Result<Body, BadInput> {
     let get = |name| attribute(i, name, [0.0]).map(|[v]| v);
     let (xx, xy, xz) = (get("ixx")?, get("ixy")?, get("ixz")?);
     let (yy, yz, zz) = (get("iyy")?, get("iyz")?, get("izz")?);
-    let body = Body { mass, com: Vector3::zeros(), inertia: Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz) };
+    let body = Body::new(mass, Vector3::zeros(), Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz));
     Ok(body.placed(&origin(node)?))
 }

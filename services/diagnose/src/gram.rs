@@ -1,0 +1,213 @@
+//! Least squares on products: every fold left out costs one small solve.
+//!
+//! Products of columns are kept per block (fold and joint). With weights w_j per joint and a prior precision
+//! per column, β = (Σ w G + P)⁻¹ Σ w g; leaving a fold out subtracts its blocks.
+
+use crate::scene::Column;
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use std::ops::Range;
+
+/// How rows are grouped.
+#[derive(Debug, Clone)]
+pub struct Layout {
+    /// Rows of each fold.
+    pub folds: Vec<Range<usize>>,
+    /// Number of joints.
+    pub joints: usize,
+    /// Rows that count, per fold and joint.
+    pub count: Vec<Vec<f64>>,
+}
+
+impl Layout {
+    /// Number of blocks.
+    pub fn blocks(&self) -> usize {
+        self.folds.len() * self.joints
+    }
+
+    /// Rows that count, per joint.
+    pub fn joint_count(&self, j: usize) -> f64 {
+        self.count.iter().map(|c| c[j]).sum()
+    }
+
+    /// Products of two columns, per block.
+    pub fn dots(&self, a: &Column, b: &Column) -> Vec<f64> {
+        let mut out = vec![0.0; self.blocks()];
+        for j in 0..self.joints {
+            let (x, y) = (&a.part[j], &b.part[j]);
+            if x.is_empty() || y.is_empty() {
+                continue;
+            }
+            for (f, range) in self.folds.iter().enumerate() {
+                out[f * self.joints + j] = dot(&x[range.clone()], &y[range.clone()]);
+            }
+        }
+        out
+    }
+}
+
+/// Sum of products, four at a time.
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let mut s = [0.0; 4];
+    let (ca, cb) = (a.chunks_exact(4), b.chunks_exact(4));
+    let rest: f64 = ca.remainder().iter().zip(cb.remainder()).map(|(x, y)| x * y).sum();
+    for (x, y) in ca.zip(cb) {
+        for l in 0..4 {
+            s[l] += x[l] * y[l];
+        }
+    }
+    s[0] + s[1] + s[2] + s[3] + rest
+}
+
+/// Products of the target (index 0) and columns (from 1), per block.
+#[derive(Debug, Clone)]
+pub struct Gram {
+    size: usize,
+    blocks: Vec<DMatrix<f64>>,
+}
+
+/// A fit and what it leaves on rows it was not fitted to.
+#[derive(Debug, Clone)]
+pub struct Fit {
+    /// Coefficients from all folds.
+    pub beta: Vec<f64>,
+    /// Coefficients with each fold left out.
+    pub fold_beta: Vec<Vec<f64>>,
+    /// Sum of squares on the folds left out, per fold and joint.
+    pub held_out: Vec<Vec<f64>>,
+    /// Sum of squares of the fit to all, per joint.
+    pub inside: Vec<f64>,
+    /// Log of what the prior costs at the fit [nats].
+    pub prior_nats: f64,
+    /// Diagonal of the inverse of the normal matrix: variances if the weights are 1/σ² of independent rows.
+    pub variance: Vec<f64>,
+}
+
+impl Fit {
+    /// Sum of squares on the folds left out, per joint.
+    pub fn held_out_joint(&self, j: usize) -> f64 {
+        self.held_out.iter().map(|f| f[j]).sum()
+    }
+}
+
+impl Gram {
+    /// Products of `target` and `columns`.
+    pub fn new(layout: &Layout, target: &Column, columns: &[&Column]) -> Self {
+        let empty = Self { size: 0, blocks: vec![DMatrix::zeros(0, 0); layout.blocks()] };
+        let mut all = vec![target];
+        all.extend_from_slice(columns);
+        empty.extended(layout, &[], &all)
+    }
+
+    /// With further columns; `have` are the ones in it, the target first.
+    #[must_use]
+    pub fn extended(&self, layout: &Layout, have: &[&Column], more: &[&Column]) -> Self {
+        let size = self.size + more.len();
+        let mut blocks: Vec<DMatrix<f64>> = self
+            .blocks
+            .iter()
+            .map(|b| {
+                let mut m = DMatrix::zeros(size, size);
+                m.view_mut((0, 0), (self.size, self.size)).copy_from(b);
+                m
+            })
+            .collect();
+        for (i, c) in more.iter().enumerate() {
+            let col = self.size + i;
+            for (k, other) in have.iter().chain(&more[..=i]).enumerate() {
+                for (m, v) in blocks.iter_mut().zip(layout.dots(c, other)) {
+                    m[(col, k)] = v;
+                    m[(k, col)] = v;
+                }
+            }
+        }
+        Self { size, blocks }
+    }
+
+    /// Only the columns `keep` (indices from 0, target not counted).
+    #[must_use]
+    pub fn subset(&self, keep: &[usize]) -> Self {
+        let index: Vec<usize> = std::iter::once(0).chain(keep.iter().map(|k| k + 1)).collect();
+        let blocks = self.blocks.iter().map(|b| b.select_rows(&index).select_columns(&index)).collect();
+        Self { size: index.len(), blocks }
+    }
+
+    /// With column `slot` (from 0, target not counted) taken off the target at a factor of one.
+    #[must_use]
+    pub fn absorbed(&self, slot: usize) -> Self {
+        let mut blocks = self.blocks.clone();
+        for m in &mut blocks {
+            for k in 0..self.size {
+                let v = m[(slot + 1, k)];
+                m[(0, k)] -= v;
+            }
+            for k in 0..self.size {
+                let v = m[(k, slot + 1)];
+                m[(k, 0)] -= v;
+            }
+        }
+        let keep: Vec<usize> = (0..self.size - 1).filter(|k| *k != slot).collect();
+        Self { size: self.size, blocks }.subset(&keep)
+    }
+
+    /// Fits with `weights` per joint and `precision` per column, with every fold left out in turn.
+    pub fn fit(&self, layout: &Layout, weights: &[f64], precision: &[f64]) -> Option<Fit> {
+        let p = self.size - 1;
+        let mut total = DMatrix::<f64>::zeros(self.size, self.size);
+        let mut per_fold = Vec::with_capacity(layout.folds.len());
+        for f in 0..layout.folds.len() {
+            let mut m = DMatrix::<f64>::zeros(self.size, self.size);
+            for j in 0..layout.joints {
+                m += &self.blocks[f * layout.joints + j] * weights[j];
+            }
+            total += &m;
+            per_fold.push(m);
+        }
+        let (beta, factor, scale) = solve(&total, precision)?;
+        let inside = (0..layout.joints)
+            .map(|j| (0..layout.folds.len()).map(|f| rest(&self.blocks[f * layout.joints + j], &beta)).sum())
+            .collect();
+        let mut held_out = Vec::with_capacity(per_fold.len());
+        let mut fold_beta = Vec::with_capacity(per_fold.len());
+        for (f, own) in per_fold.iter().enumerate() {
+            let (b, _, _) = solve(&(&total - own), precision)?;
+            held_out.push((0..layout.joints).map(|j| rest(&self.blocks[f * layout.joints + j], &b)).collect());
+            fold_beta.push(b.as_slice().to_vec());
+        }
+        let inverse = factor.inverse();
+        let variance = (0..p).map(|i| inverse[(i, i)] * scale[i] * scale[i]).collect();
+        let prior_nats = beta.iter().zip(precision).map(|(b, w)| 0.5 * b * b * w).sum();
+        Some(Fit { beta: beta.as_slice().to_vec(), fold_beta, held_out, inside, prior_nats, variance })
+    }
+}
+
+/// Residual sum of squares of `beta` in one block.
+fn rest(block: &DMatrix<f64>, beta: &DVector<f64>) -> f64 {
+    let p = beta.len();
+    let g = block.view((1, 0), (p, 1));
+    let a = block.view((1, 1), (p, p));
+    let quad = (a * beta).dot(beta);
+    (block[(0, 0)] - 2.0 * g.dot(beta) + quad).max(0.0)
+}
+
+type Solved = (DVector<f64>, Cholesky<f64, Dyn>, Vec<f64>);
+
+/// Solves the normal equations in columns scaled to one.
+fn solve(m: &DMatrix<f64>, precision: &[f64]) -> Option<Solved> {
+    let p = m.nrows() - 1;
+    let scale: Vec<f64> = (0..p)
+        .map(|i| {
+            let d = m[(i + 1, i + 1)] + precision[i];
+            if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 }
+        })
+        .collect();
+    let a = DMatrix::from_fn(p, p, |i, k| {
+        let prior = if i == k { precision[i] } else { 0.0 };
+        let v = (m[(i + 1, k + 1)] + prior) * scale[i] * scale[k];
+        // The ridge keeps columns that are nearly alike solvable; it costs 1e-9 of their size.
+        if i == k { v.max(1e-12) + 1e-9 } else { v }
+    });
+    let g = DVector::from_fn(p, |i, _| m[(i + 1, 0)] * scale[i]);
+    let factor = Cholesky::new(a)?;
+    let b = factor.solve(&g);
+    Some((DVector::from_fn(p, |i, _| b[i] * scale[i]), factor, scale))
+}

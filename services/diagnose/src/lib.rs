@@ -1,0 +1,77 @@
+//! Finds the physics that a robot's model leaves out: locates the mismatch, names it, models it, proves it on
+//! recordings it was not fitted to.
+//!
+//! [`diagnose`] takes recordings in memory and returns [`Outcome`]; nothing here touches files or clocks.
+
+pub mod base;
+pub mod families;
+pub mod findings;
+pub mod gram;
+mod report;
+pub mod scene;
+pub mod search;
+pub mod select;
+
+use base::Base;
+pub use findings::Findings;
+use lacuna_interfaces::{BadInput, ModelFile, Recording, RobotFile};
+pub use scene::Conditioning;
+use scene::Scene;
+use search::{Limits, Search};
+
+/// What is to be diagnosed.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// The robot file.
+    pub robot: RobotFile,
+    /// Text of the URDF it names.
+    pub urdf: Option<String>,
+    /// Recordings of the robot.
+    pub recordings: Vec<Recording>,
+    /// Recordings of the user's simulator on the same references; empty: the robot file is the simulation.
+    pub sim: Vec<Recording>,
+    /// Band, moving threshold, start times.
+    pub conditioning: Conditioning,
+    /// Seed of everything drawn.
+    pub seed: u64,
+}
+
+/// What was found.
+#[derive(Debug, Clone)]
+pub struct Outcome {
+    /// The findings.
+    pub findings: Findings,
+    /// The model with the new terms.
+    pub model: ModelFile,
+}
+
+/// Diagnoses a robot. `progress` is told the share done and what is being done.
+///
+/// # Errors
+/// [`BadInput`] if robot file or recordings cannot be used.
+pub fn diagnose(options: &Options, progress: &mut dyn FnMut(f64, &str)) -> Result<Outcome, BadInput> {
+    progress(0.0, "conditioning the recordings");
+    let scene = Scene::new(&options.robot, options.urdf.as_deref(), &options.recordings, &options.conditioning)?;
+    progress(0.1, "fitting the base");
+    let base = Base::nominal(&scene);
+    let families = families::all();
+    let floor_nm = floor(&scene, &base);
+    let limits = Limits { entry: vec![25.0; families.len()], column: 6.0, floor_nm, most: 10 };
+    let search = Search::new(&scene, &families, base.target.clone(), limits);
+    let unusable = || BadInput::new("recordings: the regression is singular; expected recordings with more motion");
+    let selection = search.select(&base, progress).ok_or_else(unusable)?;
+    report::outcome(&scene, &base, &search, &selection).ok_or_else(unusable)
+}
+
+/// Smallest torque that counts as a finding, per joint [Nm]: a share of the noise in the band and of the
+/// torque's size.
+fn floor(scene: &Scene, base: &Base) -> Vec<f64> {
+    let noise = report::noise_floor(scene);
+    (0..scene.joints)
+        .map(|j| {
+            let count = scene.mask[j].iter().filter(|m| **m).count().max(1) as f64;
+            let size = (base.torque.part[j].iter().map(|v| v * v).sum::<f64>() / count).sqrt();
+            (0.4 * noise[j]).max(0.0015 * size)
+        })
+        .collect()
+}

@@ -1,0 +1,418 @@
+//! Which effects are missing: forward selection, swaps and pruning on recordings left out.
+//!
+//! The base is the robot file's mechanics with viscous and Coulomb friction; the file's own tolerances may
+//! move (nuisance columns with a prior and a hard limit), and a delay below half a sample. A candidate is
+//! judged by the gain in log predictive density on folds left out,
+//! Σ_j ½ n_eff,j ln(RSS_without / RSS_with), where n_eff counts independent samples of the present residual:
+//! while the misfit is large and slow, few samples are independent and evidence is worth less.
+
+use crate::families::{Context, Family};
+use crate::gram::{Fit, Gram, Layout};
+use crate::scene::{Column, Raw, Scene};
+use rayon::prelude::*;
+
+/// A column that is always in the model.
+#[derive(Debug, Clone)]
+pub struct BaseColumn {
+    /// What it is.
+    pub role: BaseRole,
+    /// At the full rate.
+    pub raw: Raw,
+    /// At the rows.
+    pub column: Column,
+}
+
+/// Role of a base column.
+#[derive(Debug, Clone, PartialEq)]
+pub enum BaseRole {
+    /// f_v of a joint.
+    Viscous(usize),
+    /// f_c of a joint.
+    Coulomb(usize),
+    /// Constant torque of a joint (only where the base is fitted freely).
+    Offset(usize),
+    /// A dynamic parameter of the robot, by symbol (only where the base is fitted freely).
+    Parameter(String),
+    /// A tolerance of the robot file: in units of its limit.
+    Tolerance(String),
+}
+
+/// A term that was taken into the model.
+#[derive(Debug, Clone)]
+pub struct Atom {
+    /// Index into the registry.
+    pub family: usize,
+    /// Joint it acts on; 0 for the structure.
+    pub joint: usize,
+    /// Shape parameters.
+    pub shape: Vec<f64>,
+    /// Columns at the full rate.
+    pub raws: Vec<Raw>,
+    /// Columns at the rows.
+    pub columns: Vec<Column>,
+    /// Acts in full, without an amplitude.
+    pub fixed: bool,
+}
+
+impl Atom {
+    /// Number of fitted amplitudes.
+    pub fn width(&self) -> usize {
+        if self.fixed { 0 } else { self.columns.len() }
+    }
+}
+
+/// Base and terms.
+#[derive(Debug, Clone)]
+pub struct Model {
+    /// Always there.
+    pub base: Vec<BaseColumn>,
+    /// Tolerances that sit at their limit: base index and value.
+    pub clamped: Vec<(usize, f64)>,
+    /// Terms.
+    pub atoms: Vec<Atom>,
+}
+
+impl Model {
+    /// Base columns that are free.
+    pub fn free_base(&self) -> Vec<usize> {
+        (0..self.base.len()).filter(|i| !self.clamped.iter().any(|(c, _)| c == i)).collect()
+    }
+
+    /// Columns in the order of the coefficients.
+    pub fn columns(&self) -> Vec<&Column> {
+        let mut out: Vec<&Column> = self.free_base().into_iter().map(|i| &self.base[i].column).collect();
+        out.extend(self.atoms.iter().filter(|a| !a.fixed).flat_map(|a| &a.columns));
+        out
+    }
+
+    /// Where the coefficients of atom `index` are.
+    pub fn slots(&self, index: usize) -> std::ops::Range<usize> {
+        let start = self.base.len() - self.clamped.len()
+            + self.atoms[..index].iter().map(Atom::width).sum::<usize>();
+        start..start + self.atoms[index].width()
+    }
+}
+
+/// A model with its fit.
+pub struct State {
+    /// Products.
+    pub gram: Gram,
+    /// Coefficients and held-out errors.
+    pub fit: Fit,
+    /// 1/σ² n_eff/n per joint.
+    pub weights: Vec<f64>,
+    /// Share of independent rows per joint.
+    pub independent: Vec<f64>,
+    /// Target less clamped tolerances.
+    pub target: Column,
+    /// Prior precision per column.
+    pub precision: Vec<f64>,
+}
+
+/// How a candidate changes the model.
+#[derive(Debug, Clone)]
+pub struct Score {
+    /// Gain on folds left out [nats].
+    pub gain: f64,
+    /// Its amplitudes.
+    pub amplitude: Vec<f64>,
+    /// What it takes off the held-out residual per joint [Nm].
+    pub size_nm: Vec<f64>,
+    /// Share of folds that gain, weighed by nothing.
+    pub folds: f64,
+}
+
+/// The search over one scene.
+pub struct Search<'a> {
+    /// Recordings.
+    pub scene: &'a Scene,
+    /// Registry.
+    pub families: &'a [Family],
+    /// Blocks.
+    pub layout: Layout,
+    /// Torque to be explained.
+    pub target: Column,
+    /// Thresholds.
+    pub limits: Limits,
+}
+
+/// What decides.
+#[derive(Debug, Clone)]
+pub struct Limits {
+    /// Entry threshold per family [nats].
+    pub entry: Vec<f64>,
+    /// Price of a column [nats].
+    pub column: f64,
+    /// Smallest contribution that counts, per joint [Nm].
+    pub floor_nm: Vec<f64>,
+    /// Most terms.
+    pub most: usize,
+}
+
+/// Share of the prior's limit at which a tolerance is taken to be one standard deviation.
+const TOLERANCE_SD: f64 = 0.5;
+
+impl<'a> Search<'a> {
+    /// Blocks and target of `scene`.
+    pub fn new(scene: &'a Scene, families: &'a [Family], target: Column, limits: Limits) -> Self {
+        let count = scene
+            .folds
+            .iter()
+            .map(|f| {
+                (0..scene.joints)
+                    .map(|j| scene.mask[j][f.clone()].iter().filter(|m| **m).count() as f64)
+                    .collect()
+            })
+            .collect();
+        let layout = Layout { folds: scene.folds.clone(), joints: scene.joints, count };
+        Self { scene, families, layout, target, limits }
+    }
+
+    /// Fits a model; tolerances that run out of their limits are held there.
+    pub fn fit(&self, model: &mut Model) -> Option<State> {
+        model.clamped.clear();
+        let mut state = self.fit_once(model)?;
+        for _ in 0..6 {
+            let free = model.free_base();
+            let over: Vec<(usize, f64)> = free
+                .iter()
+                .enumerate()
+                .filter(|(_, i)| matches!(model.base[**i].role, BaseRole::Tolerance(_)))
+                .filter(|(slot, _)| state.fit.beta[*slot].abs() > 1.0)
+                .map(|(slot, i)| (*i, state.fit.beta[slot].signum()))
+                .collect();
+            if over.is_empty() {
+                break;
+            }
+            model.clamped.extend(over);
+            model.clamped.sort_by_key(|(i, _)| *i);
+            state = self.fit_once(model)?;
+        }
+        Some(state)
+    }
+
+    /// Prior precision of the columns of `model`.
+    fn precision(&self, model: &Model) -> Vec<f64> {
+        let mut out: Vec<f64> = model
+            .free_base()
+            .into_iter()
+            .map(|i| match model.base[i].role {
+                BaseRole::Tolerance(_) => TOLERANCE_SD.powi(-2),
+                _ => 0.0,
+            })
+            .collect();
+        out.extend(model.atoms.iter().flat_map(|a| vec![0.0; a.width()]));
+        out
+    }
+
+    fn fit_once(&self, model: &Model) -> Option<State> {
+        let mut target = self.target.clone();
+        for (i, value) in &model.clamped {
+            subtract(&mut target, &model.base[*i].column, *value);
+        }
+        for column in model.atoms.iter().filter(|a| a.fixed).flat_map(|a| &a.columns) {
+            subtract(&mut target, column, 1.0);
+        }
+        let columns = model.columns();
+        let gram = Gram::new(&self.layout, &target, &columns);
+        let precision = self.precision(model);
+        let n = self.scene.joints;
+        let mut weights: Vec<f64> = (0..n)
+            .map(|j| {
+                let sum: f64 = target.part[j].iter().map(|v| v * v).sum();
+                self.layout.joint_count(j) / sum.max(1e-30)
+            })
+            .collect();
+        let mut independent = vec![0.3; n];
+        let mut fit = gram.fit(&self.layout, &weights, &precision)?;
+        for _ in 0..2 {
+            let residual = residual(&target, &columns, &fit.beta);
+            for j in 0..n {
+                let count = self.layout.joint_count(j).max(1.0);
+                independent[j] = self.independent_share(&residual.part[j], j);
+                weights[j] = independent[j] * count / fit.held_out_joint(j).max(1e-30);
+            }
+            fit = gram.fit(&self.layout, &weights, &precision)?;
+        }
+        Some(State { gram, fit, weights, independent, target, precision })
+    }
+
+    /// Share of rows that are independent, from the autocorrelation of the residual.
+    fn independent_share(&self, r: &[f64], j: usize) -> f64 {
+        if r.is_empty() {
+            return 0.3;
+        }
+        let mask = &self.scene.mask[j];
+        let power: f64 = r.iter().map(|v| v * v).sum::<f64>() / self.layout.joint_count(j).max(1.0);
+        let mut time = 1.0;
+        for lag in 1..60 {
+            let (mut sum, mut count) = (0.0, 0.0f64);
+            for fold in &self.scene.folds {
+                for k in fold.start..fold.end.saturating_sub(lag) {
+                    if mask[k] && mask[k + lag] {
+                        sum += r[k] * r[k + lag];
+                        count += 1.0;
+                    }
+                }
+            }
+            let rho = sum / count.max(1.0) / power.max(1e-30);
+            if rho < 0.05 {
+                break;
+            }
+            time += 2.0 * rho;
+        }
+        1.0 / time
+    }
+
+    /// What `columns` would add to the fitted model.
+    pub fn score(&self, model: &Model, state: &State, atoms: &[&Atom]) -> Option<Score> {
+        let mut have = vec![&state.target];
+        have.extend(model.columns());
+        let free: Vec<&Column> = atoms.iter().filter(|a| !a.fixed).flat_map(|a| &a.columns).collect();
+        let fixed: Vec<&Column> = atoms.iter().filter(|a| a.fixed).flat_map(|a| &a.columns).collect();
+        let mut columns = free.clone();
+        columns.extend(&fixed);
+        let mut gram = state.gram.extended(&self.layout, &have, &columns);
+        let size = state.fit.beta.len() + columns.len();
+        for slot in (size - fixed.len()..size).rev() {
+            gram = gram.absorbed(slot);
+        }
+        let mut precision = state.precision.clone();
+        precision.extend(free.iter().map(|_| 0.0));
+        let fit = gram.fit(&self.layout, &state.weights, &precision)?;
+        let amplitude = fit.beta[state.fit.beta.len()..].to_vec();
+        Some(self.compare(state, &state.fit, &fit, amplitude))
+    }
+
+    /// Gain of `new` over `old`.
+    pub fn compare(&self, state: &State, old: &Fit, new: &Fit, amplitude: Vec<f64>) -> Score {
+        let n = self.scene.joints;
+        let mut gain = 0.0;
+        let mut size_nm = vec![0.0; n];
+        for j in 0..n {
+            let count = self.layout.joint_count(j);
+            let (a, b) = (old.held_out_joint(j).max(1e-30), new.held_out_joint(j).max(1e-30));
+            gain += 0.5 * count * state.independent[j] * (a / b).ln();
+            size_nm[j] = ((a - b) / count.max(1.0)).max(0.0).sqrt();
+        }
+        gain += old.prior_nats - new.prior_nats;
+        let better = old
+            .held_out
+            .iter()
+            .zip(&new.held_out)
+            .filter(|(a, b)| a.iter().zip(b.iter()).zip(&state.weights).map(|((a, b), w)| w * (a - b)).sum::<f64>() > 0.0)
+            .count();
+        Score { gain, amplitude, size_nm, folds: better as f64 / old.held_out.len().max(1) as f64 }
+    }
+
+    /// Residual of the fitted model at the rows.
+    pub fn residual(&self, model: &Model, state: &State) -> Column {
+        residual(&state.target, &model.columns(), &state.fit.beta)
+    }
+
+    /// Makes a term.
+    pub fn atom(&self, ctx: &Context<'_>, family: usize, joint: usize, shape: &[f64]) -> Atom {
+        let raws = self.families[family].raws(ctx, joint, shape);
+        let columns = raws.iter().map(|r| self.scene.column(r.clone())).collect();
+        let fixed = self.families[family].fixed();
+        Atom { family, joint, shape: shape.to_vec(), raws, columns, fixed }
+    }
+
+    /// Refines the shape of `atom`, which is not in the model, by golden sections, one parameter at a time.
+    pub fn refine(&self, ctx: &Context<'_>, model: &Model, state: &State, atom: &Atom) -> Atom {
+        let family = &self.families[atom.family];
+        let bounds: Vec<Option<(f64, f64)>> =
+            family.shapes(ctx, atom.joint).unwrap_or_default().into_iter().map(|s| s.bounds).collect();
+        let mut best = atom.clone();
+        let value = |a: &Atom| {
+            match self.score(model, state, &[a]) {
+                Some(s) if family.admissible(ctx, &a.shape, &s.amplitude) => s.gain,
+                _ => f64::NEG_INFINITY,
+            }
+        };
+        let mut best_value = value(&best);
+        let mut spread = 1.6f64;
+        for _ in 0..2 {
+            for (i, bound) in bounds.iter().enumerate() {
+                let Some((low, high)) = bound else { continue };
+                // Bounds of one sign are searched in ratios, others in differences.
+                let ratio = *low > 0.0;
+                let at = |x: f64, t: f64| {
+                    let v = if ratio { x * spread.powf(t) } else { x + t * 0.15 * spread * (high - low) };
+                    v.clamp(*low, *high)
+                };
+                let centre = best.shape[i];
+                let (mut a, mut b) = (-1.0, 1.0);
+                let golden = 0.381_966;
+                let mut probe = |t: f64| {
+                    let mut shape = best.shape.clone();
+                    shape[i] = at(centre, t);
+                    let candidate = self.atom(ctx, atom.family, atom.joint, &shape);
+                    let v = value(&candidate);
+                    if v > best_value {
+                        best_value = v;
+                        best = candidate;
+                    }
+                    v
+                };
+                let (mut x1, mut x2) = (a + golden * (b - a), b - golden * (b - a));
+                let (mut f1, mut f2) = (probe(x1), probe(x2));
+                for _ in 0..5 {
+                    if f1 > f2 {
+                        (b, x2, f2) = (x2, x1, f1);
+                        x1 = a + golden * (b - a);
+                        f1 = probe(x1);
+                    } else {
+                        (a, x1, f1) = (x1, x2, f2);
+                        x2 = b - golden * (b - a);
+                        f2 = probe(x2);
+                    }
+                }
+            }
+            spread = spread.sqrt();
+        }
+        best
+    }
+
+    /// Candidates at all shapes, as `(family, joints, shape)`.
+    pub fn candidates(&self, ctx: &Context<'_>, wanted: impl Fn(&Family) -> bool) -> Vec<(usize, usize, Vec<f64>)> {
+        let mut out = Vec::new();
+        for (f, family) in self.families.iter().enumerate().filter(|(_, f)| wanted(f)) {
+            let joints = if family.per_joint() { self.scene.joints } else { 1 };
+            for j in 0..joints {
+                out.extend(family.grid(ctx, j).into_iter().map(|shape| (f, j, shape)));
+            }
+        }
+        out
+    }
+
+    /// Builds candidates in parallel; order is kept.
+    pub fn build(&self, ctx: &Context<'_>, list: Vec<(usize, usize, Vec<f64>)>) -> Vec<Atom> {
+        list.into_par_iter()
+            .map(|(f, j, shape)| Atom { raws: Vec::new(), ..self.atom(ctx, f, j, &shape) })
+            .collect()
+    }
+}
+
+/// `a` −= factor · `b`.
+pub fn subtract(a: &mut Column, b: &Column, factor: f64) {
+    for (x, y) in a.part.iter_mut().zip(&b.part) {
+        if y.is_empty() {
+            continue;
+        }
+        if x.is_empty() {
+            *x = vec![0.0; y.len()];
+        }
+        for (x, y) in x.iter_mut().zip(y) {
+            *x -= factor * y;
+        }
+    }
+}
+
+fn residual(target: &Column, columns: &[&Column], beta: &[f64]) -> Column {
+    let mut out = target.clone();
+    for (c, b) in columns.iter().zip(beta) {
+        subtract(&mut out, c, *b);
+    }
+    out
+}

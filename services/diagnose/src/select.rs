@@ -1,0 +1,344 @@
+//! The order of the search: enter, refine, swap, prune.
+
+use crate::base::Base;
+use crate::families::Context;
+use crate::gram::{Fit, Gram};
+use crate::scene::{Raw, Scene};
+use crate::search::{Atom, BaseRole, Model, Score, Search, State, subtract};
+use lacuna_estimation::stats;
+use lacuna_physics::effects::Side;
+use rayon::prelude::*;
+
+/// A candidate and its score.
+#[derive(Debug, Clone)]
+pub struct Ranked {
+    /// Terms that would enter together: one, or one per joint.
+    pub atoms: Vec<Atom>,
+    /// Score of all together.
+    pub score: Score,
+    /// Gain less the price of its columns and its family's entry threshold.
+    pub merit: f64,
+}
+
+/// The selected model with what was seen on the way.
+pub struct Selection {
+    /// Base and terms.
+    pub model: Model,
+    /// Its fit.
+    pub state: State,
+    /// Candidates of the last round that were not taken, best first, one per family.
+    pub excluded: Vec<Ranked>,
+}
+
+/// Facts about the recordings that candidates need, with the present model's torque.
+pub fn context<'a>(scene: &'a Scene, base: &Base, search: &Search<'_>, model: &Model, state: Option<&State>) -> Context<'a> {
+    let mut predicted = base.nominal.clone();
+    let mut link = base.nominal.clone();
+    if let Some(state) = state {
+        let free = model.free_base();
+        for (slot, i) in free.iter().enumerate() {
+            let column = &model.base[*i];
+            let beta = state.fit.beta[slot];
+            add(&mut predicted, &column.raw, beta);
+            if matches!(column.role, BaseRole::Parameter(_) | BaseRole::Tolerance(_)) {
+                add(&mut link, &column.raw, beta);
+            }
+        }
+        for (i, value) in &model.clamped {
+            add(&mut predicted, &model.base[*i].raw, *value);
+            add(&mut link, &model.base[*i].raw, *value);
+        }
+        for (a, atom) in model.atoms.iter().enumerate() {
+            let family = &search.families[atom.family];
+            let slots = model.slots(a);
+            for (c, raw) in atom.raws.iter().enumerate() {
+                let factor = if atom.fixed { 1.0 } else { state.fit.beta[slots.start + c] };
+                if family.effect.side != Side::Drive {
+                    add(&mut predicted, raw, factor);
+                }
+                if family.effect.side == Side::Link {
+                    add(&mut link, raw, factor);
+                }
+            }
+        }
+    }
+    let rotor = rotor_inertia(scene);
+    let inertia = crate::families::link_inertia(scene, &rotor);
+    for (piece, signals) in scene.pieces.iter().zip(&mut link) {
+        for (j, signal) in signals.iter_mut().enumerate() {
+            for (v, a) in signal.iter_mut().zip(&piece.qdd[j]) {
+                *v -= rotor[j] * a;
+            }
+        }
+    }
+    let quantile = |f: &dyn Fn(&crate::scene::Piece) -> &Vec<f64>, p: f64, abs: bool| {
+        let mut all: Vec<f64> = scene
+            .pieces
+            .iter()
+            .flat_map(|piece| f(piece).iter().step_by(scene.stride).map(|v| if abs { v.abs() } else { *v }))
+            .collect();
+        stats::quantile_in_place(&mut all, p)
+    };
+    Context {
+        scene,
+        stick: base.stick.clone(),
+        predicted,
+        link,
+        nominal_base: base.nominal_base,
+        speed: (0..scene.joints).map(|j| quantile(&|p| &p.qd[j], 0.75, true).max(1e-3)).collect(),
+        range: (0..scene.joints)
+            .map(|j| (quantile(&|p| &p.q[j], 0.0, false), quantile(&|p| &p.q[j], 1.0, false)))
+            .collect(),
+        inertia,
+    }
+}
+
+fn rotor_inertia(scene: &Scene) -> Vec<f64> {
+    if let Some(m) = &scene.robot.mass {
+        return vec![m.rotor_inertia; scene.joints];
+    }
+    let parameters = scene.body.parameters();
+    (0..scene.joints)
+        .map(|j| {
+            let symbol = format!("Ia{}", j + 1);
+            parameters.iter().position(|p| p.symbol == symbol).map_or(0.0, |i| scene.pi[i])
+        })
+        .collect()
+}
+
+fn add(to: &mut Raw, from: &Raw, factor: f64) {
+    for (a, b) in to.iter_mut().zip(from) {
+        for (x, y) in a.iter_mut().zip(b) {
+            if y.is_empty() {
+                continue;
+            }
+            for (x, y) in x.iter_mut().zip(y) {
+                *x += factor * y;
+            }
+        }
+    }
+}
+
+impl Search<'_> {
+    /// Whether a score is large enough to count, in evidence, in Nm and in folds.
+    fn counts(&self, ranked: &Ranked) -> bool {
+        let size = ranked.score.size_nm.iter().zip(&self.limits.floor_nm).map(|(s, f)| s / f).fold(0.0, f64::max);
+        ranked.merit > 0.0 && size > 1.0 && ranked.score.folds > 0.5
+    }
+
+    fn rank(&self, ctx: &Context<'_>, model: &Model, state: &State, atoms: Vec<Atom>) -> Option<Ranked> {
+        let score = self.score(model, state, &atoms.iter().collect::<Vec<_>>())?;
+        let mut at = 0;
+        for atom in &atoms {
+            let own = &score.amplitude[at..at + atom.width()];
+            at += atom.width();
+            if !self.families[atom.family].admissible(ctx, &atom.shape, own) {
+                return None;
+            }
+        }
+        let entry = atoms.first().map_or(0.0, |a| self.limits.entry[a.family]);
+        let merit = score.gain - self.limits.column * at as f64 - entry;
+        Some(Ranked { atoms, score, merit })
+    }
+
+    /// All candidates of one round, best first.
+    fn round(&self, ctx: &Context<'_>, model: &Model, state: &State, pool: &[Atom]) -> Vec<Ranked> {
+        let taken = |a: &Atom| {
+            model.atoms.iter().any(|m| {
+                let family = &self.families[m.family];
+                m.family == a.family
+                    && (m.joint == a.joint || !family.per_joint())
+                    && (m.shape == a.shape || family.refinable(ctx, m.joint) || m.shape.is_empty())
+            })
+        };
+        let single: Vec<Ranked> =
+            pool.par_iter().filter(|a| !taken(a)).filter_map(|a| self.rank(ctx, model, state, vec![a.clone()])).collect();
+        let mut all = single;
+        if self.scene.joints > 1 {
+            all.extend(self.whole_robot(ctx, model, state, &all, &taken));
+        }
+        all.sort_by(|a, b| b.merit.total_cmp(&a.merit));
+        all
+    }
+
+    /// One candidate per family for all joints at once, each joint at its own best shape.
+    fn whole_robot(
+        &self,
+        ctx: &Context<'_>,
+        model: &Model,
+        state: &State,
+        single: &[Ranked],
+        taken: &dyn Fn(&Atom) -> bool,
+    ) -> Vec<Ranked> {
+        let mut out = Vec::new();
+        for (f, family) in self.families.iter().enumerate() {
+            if !family.whole_robot {
+                continue;
+            }
+            let best: Vec<Atom> = (0..self.scene.joints)
+                .filter_map(|j| {
+                    single
+                        .iter()
+                        .filter(|r| r.atoms[0].family == f && r.atoms[0].joint == j)
+                        .max_by(|a, b| a.merit.total_cmp(&b.merit))
+                        .map(|r| r.atoms[0].clone())
+                })
+                .filter(|a| !taken(a))
+                .collect();
+            if best.len() > 1 {
+                out.extend(self.rank(ctx, model, state, best));
+            }
+        }
+        out
+    }
+
+    /// Refines the shapes of a candidate one term after the other.
+    fn refined(&self, ctx: &Context<'_>, model: &Model, state: &State, ranked: &Ranked) -> Ranked {
+        let mut atoms = Vec::new();
+        for atom in &ranked.atoms {
+            let atom = self.atom(ctx, atom.family, atom.joint, &atom.shape);
+            let sharp = self.families[atom.family].refinable(ctx, atom.joint);
+            atoms.push(if sharp { self.refine(ctx, model, state, &atom) } else { atom });
+        }
+        let whole = self.rank(ctx, model, state, atoms.clone());
+        whole.unwrap_or(Ranked { atoms, ..ranked.clone() })
+    }
+
+    /// The whole search.
+    pub fn select(&self, base: &Base, progress: &mut dyn FnMut(f64, &str)) -> Option<Selection> {
+        let mut model = Model { base: base.columns.clone(), clamped: Vec::new(), atoms: Vec::new() };
+        let mut state = self.fit(&mut model)?;
+        self.tell(&model, &state, progress);
+        if let Ok(path) = std::env::var("DUMP") {
+            let r = self.residual(&model, &state);
+            let mut text = String::new();
+            for row in 0..self.scene.rows {
+                let (p, k) = self.scene.place(row)?;
+                text += &format!("{} {} ", p.recording, k);
+                for j in 0..self.scene.joints {
+                    text += &format!("{} {} {} {} ", r.part[j][row], p.q[j][k], p.qd[j][k], u8::from(self.scene.mask[j][row]));
+                }
+                text += "\n";
+            }
+            let _ = std::fs::write(path, text);
+        }
+        let start = context(self.scene, base, self, &model, Some(&state));
+        progress(0.2, "building candidates");
+        let fixed = self.build(&start, self.candidates(&start, |f| !f.dynamic));
+        let mut excluded = Vec::new();
+        let mut ctx = start;
+        for step in 0..self.limits.most {
+            let mut pool = fixed.clone();
+            pool.extend(self.build(&ctx, self.candidates(&ctx, |f| f.dynamic)));
+            let mut ranked = self.round(&ctx, &model, &state, &pool);
+            // Shapes are refined before the choice: a sharp law judged off its shape loses to a blunt one.
+            let mut top: Vec<Ranked> = Vec::new();
+            for r in &ranked {
+                let key = |r: &Ranked| (r.atoms[0].family, r.atoms.len(), r.atoms[0].joint);
+                if top.len() < 6 && !top.iter().any(|t| key(t) == key(r)) {
+                    top.push(r.clone());
+                }
+            }
+            let mut top: Vec<Ranked> = top.par_iter().map(|r| self.refined(&ctx, &model, &state, r)).collect();
+            top.sort_by(|a, b| b.merit.total_cmp(&a.merit));
+            for t in &top {
+                progress(
+                    0.3 + 0.4 * step as f64 / self.limits.most as f64,
+                    &format!("  ? {} {}", self.label(t), self.numbers(t)),
+                );
+            }
+            let Some(best) = top.into_iter().find(|r| self.counts(r)) else {
+                excluded = std::mem::take(&mut ranked);
+                break;
+            };
+            progress(0.3 + 0.4 * step as f64 / self.limits.most as f64, &format!("+ {}", self.label(&best)));
+            model.atoms.extend(best.atoms);
+            state = self.fit(&mut model)?;
+            self.prune(&mut model, &mut state, progress)?;
+            ctx = context(self.scene, base, self, &model, Some(&state));
+            self.refresh(&ctx, &mut model, &mut state)?;
+            self.tell(&model, &state, progress);
+        }
+        self.prune(&mut model, &mut state, progress)?;
+        Some(Selection { model, state, excluded })
+    }
+
+    /// Tells the residual and what the tolerances took.
+    fn tell(&self, model: &Model, state: &State, progress: &mut dyn FnMut(f64, &str)) {
+        let rms: Vec<f64> = (0..self.scene.joints)
+            .map(|j| (state.fit.held_out_joint(j) / self.layout.joint_count(j).max(1.0)).sqrt())
+            .collect();
+        let mut values: Vec<String> = Vec::new();
+        for (slot, i) in model.free_base().into_iter().enumerate() {
+            if let BaseRole::Tolerance(name) = &model.base[i].role {
+                values.push(format!("{name} {:.2}", state.fit.beta[slot]));
+            }
+        }
+        for (i, v) in &model.clamped {
+            values.push(format!("{:?} held at {v}", model.base[*i].role));
+        }
+        progress(0.15, &format!("band {:.1} Hz, slow {:.3?}, residual {rms:.4?} Nm, independent {:.3?}; {}", self.scene.band_hz, self.scene.slow_rad_s, state.independent, values.join(", ")));
+    }
+
+    /// Dynamic terms are made anew with the present model's torque; all shapes are refined once more.
+    fn refresh(&self, ctx: &Context<'_>, model: &mut Model, state: &mut State) -> Option<()> {
+        for i in 0..model.atoms.len() {
+            let family = &self.families[model.atoms[i].family];
+            if !family.dynamic {
+                continue;
+            }
+            let (joint, shape) = (model.atoms[i].joint, model.atoms[i].shape.clone());
+            model.atoms[i] = self.atom(ctx, model.atoms[i].family, joint, &shape);
+        }
+        *state = self.fit(model)?;
+        Some(())
+    }
+
+    /// Takes out terms that are no longer worth their columns.
+    fn prune(&self, model: &mut Model, state: &mut State, progress: &mut dyn FnMut(f64, &str)) -> Option<()> {
+        loop {
+            let mut worst: Option<(usize, f64)> = None;
+            for i in 0..model.atoms.len() {
+                let atom = &model.atoms[i];
+                let fit = self.without(model, state, i)?;
+                let loss = self.compare(state, &fit, &state.fit, Vec::new());
+                let size = loss.size_nm.iter().zip(&self.limits.floor_nm).map(|(s, f)| s / f).fold(0.0, f64::max);
+                let merit = loss.gain - self.limits.column * atom.width() as f64 - 0.5 * self.limits.entry[atom.family];
+                let merit = if size < 0.8 { merit.min(-1.0) } else { merit };
+                if merit < 0.0 && worst.is_none_or(|(_, w)| merit < w) {
+                    worst = Some((i, merit));
+                }
+            }
+            let Some((i, _)) = worst else { return Some(()) };
+            let gone = model.atoms.remove(i);
+            progress(0.7, &format!("- {} joint {}", self.families[gone.family].id(), gone.joint + 1));
+            *state = self.fit(model)?;
+        }
+    }
+
+    /// Fit of the model without term `i`, at the same weights.
+    pub(crate) fn without(&self, model: &Model, state: &State, i: usize) -> Option<Fit> {
+        if model.atoms[i].fixed {
+            let mut target = state.target.clone();
+            for column in &model.atoms[i].columns {
+                subtract(&mut target, column, -1.0);
+            }
+            let gram = Gram::new(&self.layout, &target, &model.columns());
+            return gram.fit(&self.layout, &state.weights, &state.precision);
+        }
+        let slots = model.slots(i);
+        let keep: Vec<usize> = (0..state.fit.beta.len()).filter(|s| !slots.contains(s)).collect();
+        let precision: Vec<f64> = keep.iter().map(|k| state.precision[*k]).collect();
+        state.gram.subset(&keep).fit(&self.layout, &state.weights, &precision)
+    }
+
+    fn label(&self, r: &Ranked) -> String {
+        let a = &r.atoms[0];
+        let joints: Vec<String> = r.atoms.iter().map(|a| (a.joint + 1).to_string()).collect();
+        format!("{} [{}] {:.4?}", self.families[a.family].id(), joints.join(","), a.shape)
+    }
+
+    fn numbers(&self, r: &Ranked) -> String {
+        format!("merit {:.1} gain {:.1} nm {:.3?} folds {:.2} amp {:.4?}", r.merit, r.score.gain, r.score.size_nm, r.score.folds, r.score.amplitude)
+    }
+}

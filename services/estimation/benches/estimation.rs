@@ -4,7 +4,7 @@
 //! other processes did to the cache meanwhile.
 
 use lacuna_estimation::filter::ZeroPhase;
-use lacuna_estimation::kalman::{FixedLag, Lag, MotionModel, Noise, Settings, smooth};
+use lacuna_estimation::kalman::{FixedLag, Lag, MotionModel, Noise, Settings, Smoothed, smooth, smooth_into};
 use lacuna_estimation::least_squares::{Gram, Statistics, Tsqr, accumulate};
 use nalgebra::{Matrix3, RowVector3, Vector3};
 use std::hint::black_box;
@@ -103,6 +103,7 @@ fn smoother() {
     }) / few as f64
         * 1e9;
     let textbook_name = "textbook RTS, nalgebra";
+    let mut out = Smoothed::default();
     for (what, t, noises, steady) in [
         ("offline, 3 joints, regular, one noise", &regular, vec![noise; JOINTS], true),
         ("offline, 3 joints, regular, a noise each", &regular, vec![noise, other(2.0), other(3.0)], true),
@@ -111,11 +112,14 @@ fn smoother() {
         ("offline, 3 joints, irregular, a noise each", &irregular, vec![noise, other(2.0), other(3.0)], true),
     ] {
         let settings = Settings { steady_state: steady, ..Settings::new(model, noises) };
-        let ns = seconds(|| drop(black_box(smooth(&settings, t, &views)))) / n as f64 * 1e9;
+        let ns = seconds(|| drop(black_box(smooth_into(&settings, t, &views, &mut out)))) / n as f64 * 1e9;
         line(what, ns, textbook_name, base);
     }
-    let settings = Settings::new(MotionModel::ConstantJerk, vec![noise; JOINTS]);
+    let settings = Settings::new(model, vec![noise; JOINTS]);
     let ns = seconds(|| drop(black_box(smooth(&settings, &regular, &views)))) / n as f64 * 1e9;
+    line("offline, 3 joints, regular, one noise, fresh memory", ns, textbook_name, base);
+    let settings = Settings::new(MotionModel::ConstantJerk, vec![noise; JOINTS]);
+    let ns = seconds(|| drop(black_box(smooth_into(&settings, &regular, &views, &mut out)))) / n as f64 * 1e9;
     line("offline, 3 joints, regular, constant jerk", ns, textbook_name, base);
     for (what, t, lag, noises) in [
         ("stream, 3 joints, regular, lag 25", &regular, 25, vec![noise; JOINTS]),

@@ -118,7 +118,7 @@ fn smoother_agrees_with_the_batch_problem() {
         for (signal, expected) in found.into_iter().zip(case["x"].as_array().unwrap()) {
             agree(signal, &numbers(expected), 1e-9);
         }
-        let found = [&smoothed.sd_q_rad[0], &smoothed.sd_qd_rad_s[0], &smoothed.sd_qdd_rad_s2[0]];
+        let found = [smoothed.sd_q_rad(0), smoothed.sd_qd_rad_s(0), smoothed.sd_qdd_rad_s2(0)];
         for (signal, expected) in found.into_iter().zip(case["sd"].as_array().unwrap()) {
             for (a, b) in signal.iter().zip(numbers(expected)) {
                 assert!((a / b - 1.0).abs() < 1e-8, "{a} {b}");

@@ -107,8 +107,8 @@ fn stream_is_the_offline_smoother_of_what_has_arrived() {
                     assert!(close(s.q, whole.q_rad[j][k], 1e-11), "{model:?} lag {lag} sample {k}");
                     assert!(close(s.qd, whole.qd_rad_s[j][k], 1e-8), "{model:?} lag {lag} sample {k}");
                     assert!(close(s.qdd, whole.qdd_rad_s2[j][k], 1e-5), "{model:?} lag {lag} sample {k}");
-                    assert!(close(s.sd_q / whole.sd_q_rad[j][k], 1.0, 1e-7), "{model:?} lag {lag} sample {k}");
-                    assert!(close(s.sd_qdd / whole.sd_qdd_rad_s2[j][k], 1.0, 1e-7), "{model:?} lag {lag} sample {k}");
+                    assert!(close(s.sd_q / whole.sd_q_rad(j)[k], 1.0, 1e-7), "{model:?} lag {lag} sample {k}");
+                    assert!(close(s.sd_qdd / whole.sd_qdd_rad_s2(j)[k], 1.0, 1e-7), "{model:?} lag {lag} sample {k}");
                 }
             }
         }
@@ -131,9 +131,9 @@ fn steady_state_and_exact_path_agree() {
                 assert!(close(a.q_rad[0][k], b.q_rad[0][k], 1e-9 * 0.8), "{k}");
                 assert!(close(a.qd_rad_s[0][k], b.qd_rad_s[0][k], 1e-9 * qd), "{k}");
                 assert!(close(a.qdd_rad_s2[0][k], b.qdd_rad_s2[0][k], 1e-9 * qdd), "{k}");
-                assert!(close(a.sd_q_rad[0][k] / b.sd_q_rad[0][k], 1.0, 1e-9), "{k}");
-                assert!(close(a.sd_qd_rad_s[0][k] / b.sd_qd_rad_s[0][k], 1.0, 1e-9), "{k}");
-                assert!(close(a.sd_qdd_rad_s2[0][k] / b.sd_qdd_rad_s2[0][k], 1.0, 1e-9), "{k}");
+                assert!(close(a.sd_q_rad(0)[k] / b.sd_q_rad(0)[k], 1.0, 1e-9), "{k}");
+                assert!(close(a.sd_qd_rad_s(0)[k] / b.sd_qd_rad_s(0)[k], 1.0, 1e-9), "{k}");
+                assert!(close(a.sd_qdd_rad_s2(0)[k] / b.sd_qdd_rad_s2(0)[k], 1.0, 1e-9), "{k}");
             }
             // On the stream as well, and there the steady path is really taken.
             let lag = Lag::Samples(40);
@@ -165,7 +165,7 @@ fn jitter_within_the_tolerance_costs_nothing() {
     let exact = smooth(&Settings { steady_state: false, ..settings }, &t, &[&q]).unwrap();
     let most = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(most(&steady.q_rad[0], &exact.q_rad[0]) < 1e-9);
-    let off = most(&steady.qdd_rad_s2[0], &exact.qdd_rad_s2[0]) / exact.sd_qdd_rad_s2[0][1000];
+    let off = most(&steady.qdd_rad_s2[0], &exact.qdd_rad_s2[0]) / exact.sd_qdd_rad_s2(0)[1000];
     assert!(off < 1e-2, "{off} standard deviations");
 }
 
@@ -177,9 +177,10 @@ fn standard_deviations_are_true() {
     let steps: Vec<f64> = (0..20_000).map(|_| draw.uniform(0.5e-3, 4e-3)).collect();
     let (t, truth, z) = motion(noise, &steps, 77);
     let s = smooth(&settings, &t, &[&z]).unwrap();
-    let lists = [(&s.q_rad, &s.sd_q_rad), (&s.qd_rad_s, &s.sd_qd_rad_s), (&s.qdd_rad_s2, &s.sd_qdd_rad_s2)];
+    let lists =
+        [(&s.q_rad[0], s.sd_q_rad(0)), (&s.qd_rad_s[0], s.sd_qd_rad_s(0)), (&s.qdd_rad_s2[0], s.sd_qdd_rad_s2(0))];
     for (i, (value, sd)) in lists.into_iter().enumerate() {
-        let inside = (0..t.len()).filter(|&k| (value[0][k] - truth[k][i]).abs() < 1.96 * sd[0][k]).count();
+        let inside = (0..t.len()).filter(|&k| (value[k] - truth[k][i]).abs() < 1.96 * sd[k]).count();
         let share = inside as f64 / t.len() as f64;
         // Errors are correlated over about 10 samples: standard deviation of the share about 0.5 %.
         assert!((0.93..0.97).contains(&share), "derivative {i}: {share}");
@@ -247,7 +248,7 @@ fn gaps_start_anew() {
     assert_eq!(whole.qdd_rad_s2[0][20..38], part.qdd_rad_s2[0]);
     // Two samples do not tell an acceleration.
     assert_eq!(whole.q_rad[0][38..], q[38..]);
-    assert_eq!(whole.sd_qd_rad_s[0][39], PRIOR_SD[0]);
+    assert_eq!(whole.sd_qd_rad_s(0)[39], PRIOR_SD[0]);
     let streamed = stream(&settings, Lag::Samples(5), &t, &[q]);
     for k in 0..40 {
         let [start, gap, short] = streamed[k].1;
@@ -296,7 +297,7 @@ fn pieces_equal_the_whole() {
         for j in 0..2 {
             for (k, v) in piece.qdd_rad_s2[j].iter().enumerate() {
                 assert!(close(*v, whole.qdd_rad_s2[j][first + k], 1e-7), "sample {}", first + k);
-                assert!(close(piece.sd_qdd_rad_s2[j][k] / whole.sd_qdd_rad_s2[j][first + k], 1.0, 1e-7));
+                assert!(close(piece.sd_qdd_rad_s2(j)[k] / whole.sd_qdd_rad_s2(j)[first + k], 1.0, 1e-7));
             }
         }
     })
@@ -333,7 +334,7 @@ fn update_forms_agree_where_digits_suffice() {
     let (a, b) = (smooth(&joseph, &t, &[&z]).unwrap(), smooth(&plain, &t, &[&z]).unwrap());
     for k in 0..t.len() {
         assert!(close(a.qdd_rad_s2[0][k], b.qdd_rad_s2[0][k], 1e-6));
-        assert!(close(a.sd_qdd_rad_s2[0][k] / b.sd_qdd_rad_s2[0][k], 1.0, 1e-6));
+        assert!(close(a.sd_qdd_rad_s2(0)[k] / b.sd_qdd_rad_s2(0)[k], 1.0, 1e-6));
     }
 }
 

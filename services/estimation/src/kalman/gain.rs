@@ -16,15 +16,11 @@ const DETERMINED: f64 = 1e-9;
 
 /// F(dt): F_ij = dt^(j−i)/(j−i)!.
 pub(super) fn transition<const N: usize>(dt: f64) -> Matrix<N> {
-    let mut f = [[0.0; N]; N];
-    for i in 0..N {
-        let mut term = 1.0;
-        for j in i..N {
-            f[i][j] = term;
-            term *= dt / (j - i + 1) as f64;
-        }
+    let mut term = [1.0; N];
+    for m in 1..N {
+        term[m] = term[m - 1] * (dt / m as f64);
     }
-    f
+    std::array::from_fn(|i| std::array::from_fn(|j| if j < i { 0.0 } else { term[j - i] }))
 }
 
 /// F(dt) x without the matrix: Taylor's polynomial of each derivative.
@@ -41,13 +37,26 @@ pub(super) fn carried<const N: usize>(x: &Vector<N>, dt: f64) -> Vector<N> {
     y
 }
 
-/// Q(dt) for intensity q.
-pub(super) fn process_covariance<const N: usize>(q: f64, dt: f64) -> Matrix<N> {
+/// The factors of Q(dt) for intensity q: Q_ij = shape_ij dt^(2N−1−i−j).
+fn process_shape<const N: usize>(q: f64) -> Matrix<N> {
     let factorial = |n: usize| (1..=n).map(|v| v as f64).product::<f64>();
     std::array::from_fn(|i| {
+        std::array::from_fn(|j| q / (factorial(N - 1 - i) * factorial(N - 1 - j) * (2 * N - 1 - i - j) as f64))
+    })
+}
+
+/// Q(dt).
+#[inline]
+fn process_covariance<const N: usize>(shape: &Matrix<N>, dt: f64) -> Matrix<N> {
+    // power[m] = dt^(m + 1)
+    let mut power = [[dt; N]; 2];
+    for m in 1..2 * N {
+        power[m / N][m % N] = power[(m - 1) / N][(m - 1) % N] * dt;
+    }
+    std::array::from_fn(|i| {
         std::array::from_fn(|j| {
-            let power = 2 * N - 1 - i - j;
-            q * dt.powi(power as i32) / (factorial(N - 1 - i) * factorial(N - 1 - j) * power as f64)
+            let m = 2 * N - 2 - i - j;
+            shape[i][j] * power[m / N][m % N]
         })
     })
 }
@@ -61,20 +70,30 @@ pub(super) struct Back<const N: usize> {
     pub a: Matrix<N>,
 }
 
-/// What the filter needs of the step k → k + 1.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Forward<const N: usize> {
-    /// x ← F x + K (z − θ⁻), with the innovation's variance S.
-    Gain { k: Vector<N>, s: f64 },
-    /// First samples: a_k = A η, η ← `map` η + Hᵀ z/r; then, if the state is determined, x = `ready` η.
-    Information { map: Matrix<N>, ready: Option<Matrix<N>> },
-}
-
-/// Everything about a step that does not depend on the data.
+/// Everything about the step k → k + 1 that does not depend on the data.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Step<const N: usize> {
     pub back: Back<N>,
-    pub forward: Forward<N>,
+    /// Filter gain K: x ← F x + K (z − θ⁻).
+    pub k: Vector<N>,
+    /// Variance S of the innovation z − θ⁻; 0 while the state is not determined, see [`Information`].
+    pub s: f64,
+}
+
+impl<const N: usize> Step<N> {
+    /// False for the steps between the first samples, which go by [`Information`].
+    #[inline]
+    pub fn determined(&self) -> bool {
+        self.s > 0.0
+    }
+}
+
+/// The forward step between the first samples: a_k = A η, η ← `map` η + Hᵀ z/r, and once the state is
+/// determined, x = `ready` η.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Information<const N: usize> {
+    pub map: Matrix<N>,
+    pub ready: Option<Matrix<N>>,
 }
 
 /// What is known at the newest sample.
@@ -120,12 +139,14 @@ impl Period {
 /// The covariance recursion of all joints of one noise.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Gains<const N: usize> {
-    q: f64,
+    q_shape: Matrix<N>,
     r: f64,
     update: CovarianceUpdate,
     knowledge: Knowledge<N>,
     /// The newest step.
     step: Step<N>,
+    /// Its forward part while the state is not determined.
+    information: Information<N>,
     /// Converged step for `steady_dt`, with its covariance.
     steady: Option<(Step<N>, Matrix<N>)>,
     steady_dt: f64,
@@ -137,15 +158,16 @@ pub(super) struct Gains<const N: usize> {
 
 impl<const N: usize> Gains<N> {
     pub fn new(noise: Noise, update: CovarianceUpdate) -> Self {
-        let nothing =
-            Step { back: Back { c: [[0.0; N]; N], a: [[0.0; N]; N] }, forward: Forward::Gain { k: [0.0; N], s: 1.0 } };
+        let zero = [[0.0; N]; N];
+        let nothing = Step { back: Back { c: zero, a: zero }, k: [0.0; N], s: 0.0 };
         let r = noise.measurement_sd * noise.measurement_sd;
         let mut gains = Self {
-            q: noise.process,
+            q_shape: process_shape(noise.process),
             r,
             update,
-            knowledge: Knowledge::Information { lambda: [[0.0; N]; N], samples: 0 },
+            knowledge: Knowledge::Information { lambda: zero, samples: 0 },
             step: nothing,
+            information: Information { map: zero, ready: None },
             steady: None,
             steady_dt: f64::NAN,
             at_steady: false,
@@ -191,6 +213,11 @@ impl<const N: usize> Gains<N> {
         &self.step
     }
 
+    /// The newest step's forward part, if the state was not determined before it.
+    pub fn information(&self) -> &Information<N> {
+        &self.information
+    }
+
     /// Goes on by `dt` (as classified by [`Period`]) and returns the step's numbers.
     #[inline]
     pub fn advance(&mut self, (dt, regular): (f64, bool)) -> &Step<N> {
@@ -202,7 +229,7 @@ impl<const N: usize> Gains<N> {
 
     fn advance_exactly(&mut self, dt: f64, regular: bool) {
         let f = transition::<N>(dt);
-        let q = process_covariance::<N>(self.q, dt);
+        let q = process_covariance(&self.q_shape, dt);
         self.at_steady = false;
         let p = match self.knowledge {
             Knowledge::Information { lambda, samples } => {
@@ -274,7 +301,7 @@ impl<const N: usize> Gains<N> {
                 std::array::from_fn(|i| std::array::from_fn(|j| p[i][j] - explained[i][j]))
             }
         };
-        self.step = Step { back: Back { c, a }, forward: Forward::Gain { k, s } };
+        self.step = Step { back: Back { c, a }, k, s };
         next
     }
 
@@ -296,7 +323,8 @@ impl<const N: usize> Gains<N> {
             Some(p) => Knowledge::Covariance(p),
             None => Knowledge::Information { lambda: next, samples },
         };
-        self.step = Step { back: Back { c, a }, forward: Forward::Information { map: product(&w, &back_t), ready } };
+        self.step = Step { back: Back { c, a }, k: [0.0; N], s: 0.0 };
+        self.information = Information { map: product(&w, &back_t), ready };
     }
 }
 
@@ -337,31 +365,27 @@ impl<const N: usize> Mean<N> {
 
     /// Takes in measurement `z`, `dt` after the last; returns the smoother's a_k (of the sample before).
     #[inline]
-    pub fn advance(&mut self, step: &Step<N>, dt: f64, z: f64, r: f64) -> Vector<N> {
-        match &step.forward {
-            Forward::Gain { k, .. } => {
-                let predicted = carried(&self.x, dt);
-                let drawn = apply(&step.back.c, &predicted);
-                let a = std::array::from_fn(|i| self.x[i] - drawn[i]);
-                let innovation = z - predicted[0];
-                self.x = std::array::from_fn(|i| predicted[i] + k[i] * innovation);
-                a
-            }
-            Forward::Information { map, ready } => {
-                let mut a = apply(&step.back.a, &self.x);
-                // From positions measured from the origin to absolute ones: x_k = a + C x_{k+1}.
-                for i in 0..N {
-                    a[i] += self.origin * (f64::from(u8::from(i == 0)) - step.back.c[i][0]);
-                }
-                self.x = apply(map, &self.x);
-                self.x[0] += (z - self.origin) / r;
-                if let Some(p) = ready {
-                    self.x = apply(p, &self.x);
-                    self.x[0] += self.origin;
-                }
-                a
-            }
+    pub fn advance(&mut self, step: &Step<N>, information: &Information<N>, dt: f64, z: f64, r: f64) -> Vector<N> {
+        if step.determined() {
+            let predicted = carried(&self.x, dt);
+            let drawn = apply(&step.back.c, &predicted);
+            let a = std::array::from_fn(|i| self.x[i] - drawn[i]);
+            let innovation = z - predicted[0];
+            self.x = std::array::from_fn(|i| predicted[i] + step.k[i] * innovation);
+            return a;
         }
+        let mut a = apply(&step.back.a, &self.x);
+        // From positions measured from the origin to absolute ones: x_k = a + C x_{k+1}.
+        for i in 0..N {
+            a[i] += self.origin * (f64::from(u8::from(i == 0)) - step.back.c[i][0]);
+        }
+        self.x = apply(&information.map, &self.x);
+        self.x[0] += (z - self.origin) / r;
+        if let Some(p) = &information.ready {
+            self.x = apply(p, &self.x);
+            self.x[0] += self.origin;
+        }
+        a
     }
 }
 

@@ -7,7 +7,7 @@
 //! Gains depend on q/r alone, so with r unknown r̂ = mean(ν²/S̃) at S̃ = S/r, and one parameter is left: the
 //! bandwidth (see [`Noise::from_bandwidth`]), searched on a grid and refined by golden section.
 
-use super::gain::{Forward, Gains, Mean, Period};
+use super::gain::{Gains, Mean, Period, carried};
 use super::{CovarianceUpdate, MotionModel, Noise, Settings};
 use crate::error::{EstimationError, all_finite, increasing, positive, same_length};
 use crate::filter::median_step;
@@ -155,9 +155,11 @@ fn run<const N: usize>(model: MotionModel, noise: Noise, gap_s: f64, t_s: &[f64]
             mean = Mean::start(z);
             continue;
         }
-        let step = gains.advance(period.classify(dt));
-        if let Forward::Gain { k, s } = step.forward {
-            let predicted = super::gain::carried(&mean.x, dt);
+        gains.advance(period.classify(dt));
+        let step = gains.step();
+        if step.determined() {
+            let (k, s) = (&step.k, step.s);
+            let predicted = carried(&mean.x, dt);
             let innovation = z - predicted[0];
             mean.x = std::array::from_fn(|i| predicted[i] + k[i] * innovation);
             if s != last_s {
@@ -168,7 +170,7 @@ fn run<const N: usize>(model: MotionModel, noise: Noise, gap_s: f64, t_s: &[f64]
             sums.log_variance += log_last;
             sums.square += innovation * innovation / s;
         } else {
-            mean.advance(step, dt, z, noise.measurement_sd * noise.measurement_sd);
+            mean.advance(step, gains.information(), dt, z, gains.r());
         }
     }
     sums

@@ -30,6 +30,7 @@
 //! priors of [`PRIOR_SD`], far beyond any robot, so there is no large covariance to cancel digits.
 
 mod gain;
+mod lanes;
 mod likelihood;
 mod offline;
 mod small;
@@ -37,7 +38,7 @@ mod stream;
 mod window;
 
 pub use likelihood::{NoiseEstimate, estimate_noise, log_likelihood};
-pub use offline::{smooth, smooth_blocks};
+pub use offline::{smooth, smooth_blocks, smooth_into};
 pub use stream::{FixedLag, LagEstimate};
 
 use crate::error::{EstimationError, positive};
@@ -172,14 +173,14 @@ pub struct Smoothed {
     pub qd_rad_s: Vec<Vec<f64>>,
     /// Acceleration θ̈ [rad/s²].
     pub qdd_rad_s2: Vec<Vec<f64>>,
-    /// Standard deviation of θ [rad].
-    pub sd_q_rad: Vec<Vec<f64>>,
-    /// Standard deviation of θ̇ [rad/s].
-    pub sd_qd_rad_s: Vec<Vec<f64>>,
-    /// Standard deviation of θ̈ [rad/s²].
-    pub sd_qdd_rad_s2: Vec<Vec<f64>>,
     /// Index of the first sample of every stretch without a gap; the first is 0.
     pub starts: Vec<usize>,
+    /// Standard deviations of θ, θ̇, θ̈ over time: one set for all joints of equal noise.
+    deviations: Vec<[Vec<f64>; 3]>,
+    /// Which set is a joint's.
+    group_of: Vec<usize>,
+    /// Memory for the fourth state.
+    spare: Vec<Vec<f64>>,
 }
 
 impl Smoothed {
@@ -191,6 +192,25 @@ impl Smoothed {
     /// True if there is no sample.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
+    }
+
+    /// Standard deviation of a joint's θ [rad] over time; empty for a joint that does not exist.
+    pub fn sd_q_rad(&self, joint: usize) -> &[f64] {
+        self.deviation(joint, 0)
+    }
+
+    /// Standard deviation of a joint's θ̇ [rad/s] over time.
+    pub fn sd_qd_rad_s(&self, joint: usize) -> &[f64] {
+        self.deviation(joint, 1)
+    }
+
+    /// Standard deviation of a joint's θ̈ [rad/s²] over time.
+    pub fn sd_qdd_rad_s2(&self, joint: usize) -> &[f64] {
+        self.deviation(joint, 2)
+    }
+
+    fn deviation(&self, joint: usize, derivative: usize) -> &[f64] {
+        self.group_of.get(joint).and_then(|g| self.deviations.get(*g)).map_or(&[], |sd| &sd[derivative])
     }
 }
 

@@ -5,8 +5,9 @@
 //! are too many to keep, so that memory beyond the output stays below about 100 MB however long and
 //! irregular the recording is.
 
-use super::gain::{Forward, Gains, Mean, Period, Step, carried, grouped};
-use super::small::{Vector, apply, congruence_plus};
+use super::gain::{Gains, Mean, Period, grouped};
+use super::lanes::{self, Plan};
+use super::small::{Vector, congruence_plus};
 use super::{MotionModel, PRIOR_SD, Settings, Smoothed};
 use crate::error::{EstimationError, all_finite, increasing, same_length};
 use crate::filter::segments;
@@ -27,11 +28,27 @@ const LANES: usize = 4;
 /// # Errors
 /// [`EstimationError`] if settings, lengths, time or a sample cannot be used.
 pub fn smooth(settings: &Settings, t_s: &[f64], q_rad: &[&[f64]]) -> Result<Smoothed, EstimationError> {
+    let mut out = Smoothed::default();
+    smooth_into(settings, t_s, q_rad, &mut out)?;
+    Ok(out)
+}
+
+/// As [`smooth`], into the memory of an earlier result: fresh memory costs more than the smoothing itself.
+///
+/// # Errors
+/// As [`smooth`]; `out` is then unchanged.
+pub fn smooth_into(
+    settings: &Settings,
+    t_s: &[f64],
+    q_rad: &[&[f64]],
+    out: &mut Smoothed,
+) -> Result<(), EstimationError> {
     check(settings, t_s, q_rad)?;
-    Ok(match settings.model {
-        MotionModel::ConstantAcceleration => smooth_order::<3>(settings, t_s, q_rad),
-        MotionModel::ConstantJerk => smooth_order::<4>(settings, t_s, q_rad),
-    })
+    match settings.model {
+        MotionModel::ConstantAcceleration => smooth_order::<3>(settings, t_s, q_rad, out),
+        MotionModel::ConstantJerk => smooth_order::<4>(settings, t_s, q_rad, out),
+    }
+    Ok(())
 }
 
 /// Smooths a recording piece by piece with bounded memory: pieces of `block` samples, each with `overlap`
@@ -53,21 +70,21 @@ pub fn smooth_blocks(
 ) -> Result<(), EstimationError> {
     check(settings, t_s, q_rad)?;
     crate::error::positive("block", block as f64)?;
+    let mut piece = Smoothed::default();
     for start in (0..t_s.len()).step_by(block) {
         let end = (start + block).min(t_s.len());
         let range = start.saturating_sub(overlap)..(end + overlap).min(t_s.len());
         let views: Vec<&[f64]> = q_rad.iter().map(|q| &q[range.clone()]).collect();
-        let mut piece = smooth(settings, &t_s[range.clone()], &views)?;
+        smooth_into(settings, &t_s[range.clone()], &views, &mut piece)?;
         let keep = start - range.start..end - range.start;
-        for list in piece.lists_mut() {
-            for signal in list {
-                signal.truncate(keep.end);
-                signal.drain(..keep.start);
-            }
+        for signal in piece.signals_mut() {
+            signal.truncate(keep.end);
+            signal.drain(..keep.start);
         }
         // The piece's own first sample is a start only if the recording's is.
         let cut = range.start;
-        piece.starts = piece.starts.iter().map(|s| s + cut).filter(|s| (start..end).contains(s)).collect();
+        piece.starts.iter_mut().for_each(|s| *s += cut);
+        piece.starts.retain(|&s| (start..end).contains(&s));
         piece.starts.retain(|&s| s == 0 || s > cut || t_s[s] - t_s[s - 1] > settings.gap_s);
         piece.starts.iter_mut().for_each(|s| *s -= start);
         sink(start, &piece);
@@ -76,15 +93,9 @@ pub fn smooth_blocks(
 }
 
 impl Smoothed {
-    fn lists_mut(&mut self) -> [&mut Vec<Vec<f64>>; 6] {
-        [
-            &mut self.q_rad,
-            &mut self.qd_rad_s,
-            &mut self.qdd_rad_s2,
-            &mut self.sd_q_rad,
-            &mut self.sd_qd_rad_s,
-            &mut self.sd_qdd_rad_s2,
-        ]
+    fn signals_mut(&mut self) -> impl Iterator<Item = &mut Vec<f64>> {
+        let states = [&mut self.q_rad, &mut self.qd_rad_s, &mut self.qdd_rad_s2];
+        states.into_iter().flatten().chain(self.deviations.iter_mut().flatten())
     }
 }
 
@@ -99,65 +110,36 @@ fn check(settings: &Settings, t_s: &[f64], q_rad: &[&[f64]]) -> Result<(), Estim
     Ok(())
 }
 
-fn smooth_order<const N: usize>(settings: &Settings, t_s: &[f64], q_rad: &[&[f64]]) -> Smoothed {
+fn smooth_order<const N: usize>(settings: &Settings, t_s: &[f64], q_rad: &[&[f64]], out: &mut Smoothed) {
     let (groups, group_of) = grouped::<N>(settings);
-    let n = t_s.len();
-    // x[joint][derivative][sample], sd[group][derivative][sample]
-    let mut x: Vec<[Vec<f64>; N]> = q_rad.iter().map(|_| std::array::from_fn(|_| vec![0.0; n])).collect();
-    let mut sd: Vec<[Vec<f64>; 3]> = groups.iter().map(|_| std::array::from_fn(|_| vec![0.0; n])).collect();
-    let mut starts = Vec::new();
+    let (n, joints) = (t_s.len(), q_rad.len());
+    let mut lists = [&mut out.q_rad, &mut out.qd_rad_s, &mut out.qdd_rad_s2, &mut out.spare];
+    for list in &mut lists {
+        list.resize_with(joints, Vec::new);
+    }
+    // x[joint][derivative][sample]; deviations[group][derivative][sample]
+    let sized = |mut v: Vec<f64>| {
+        v.resize(n, 0.0);
+        v
+    };
+    let mut x: Vec<[Vec<f64>; N]> =
+        (0..joints).map(|j| std::array::from_fn(|i| sized(std::mem::take(&mut lists[i][j])))).collect();
+    out.deviations.resize_with(groups.len(), Default::default);
+    for signal in out.deviations.iter_mut().flatten() {
+        *signal = sized(std::mem::take(signal));
+    }
+    out.group_of = group_of;
+    out.starts.clear();
     for range in segments(t_s, settings.gap_s) {
-        starts.push(range.start);
-        let mut stretch = Stretch { settings, t_s, q_rad, group_of: &group_of, range, period: Period::new(settings) };
-        stretch.smooth(&groups, &mut x, &mut sd);
+        out.starts.push(range.start);
+        let period = Period::new(settings);
+        let mut stretch = Stretch { settings, t_s, q_rad, group_of: &out.group_of, range, period };
+        stretch.smooth(&groups, &mut x, &mut out.deviations);
     }
-    let mut out = Smoothed { starts, ..Smoothed::default() };
-    for (joint, signals) in x.into_iter().enumerate() {
-        let mut signals = signals.into_iter();
-        for list in [&mut out.q_rad, &mut out.qd_rad_s, &mut out.qdd_rad_s2] {
-            list.push(signals.next().unwrap_or_default());
+    for (j, signals) in x.into_iter().enumerate() {
+        for (list, signal) in lists.iter_mut().zip(signals) {
+            list[j] = signal;
         }
-        let own = &mut sd[group_of[joint]];
-        let last_use = !group_of[joint + 1..].contains(&group_of[joint]);
-        for (list, signal) in [&mut out.sd_q_rad, &mut out.sd_qd_rad_s, &mut out.sd_qdd_rad_s2].into_iter().zip(own) {
-            list.push(if last_use { std::mem::take(signal) } else { signal.clone() });
-        }
-    }
-    out
-}
-
-/// Step numbers of a block: entry k is the step from sample `first` + k to the next.
-#[derive(Debug, Default)]
-struct Plan<const N: usize> {
-    steps: Vec<Step<N>>,
-    /// Which of `steps`, per step of time; equal steps share one.
-    index: Vec<u32>,
-}
-
-impl<const N: usize> Plan<N> {
-    fn step(&self, k: usize) -> &Step<N> {
-        &self.steps[self.index[k] as usize]
-    }
-
-    /// End of the run of equal steps from `k`, at most `end`.
-    fn run_end(&self, k: usize, end: usize) -> usize {
-        let same = self.index[k];
-        self.index[k..end].iter().position(|i| *i != same).map_or(end, |len| k + len)
-    }
-
-    /// Makes the steps within `range` of samples, going on from `gains`.
-    fn make(t_s: &[f64], range: Range<usize>, gains: &mut Gains<N>, period: &mut Period) -> Self {
-        let mut plan = Self { steps: Vec::new(), index: Vec::with_capacity(range.len()) };
-        let mut shared = false;
-        for k in range {
-            let step = *gains.advance(period.classify(t_s[k + 1] - t_s[k]));
-            if !(shared && gains.at_steady()) {
-                plan.steps.push(step);
-            }
-            shared = gains.at_steady();
-            plan.index.push(plan.steps.len() as u32 - 1);
-        }
-        plan
     }
 }
 
@@ -263,15 +245,17 @@ impl Stretch<'_> {
     ) {
         // Samples in information form come one by one, each joint by itself.
         let mut begin = block.start;
-        let unknown = |k: usize| plans.iter().any(|p| matches!(p.step(k).forward, Forward::Information { .. }));
+        let unknown = |k: usize| plans.iter().any(|p| !p.step(k).determined());
         while begin < block.end && unknown(begin - block.start) {
             for (j, mean) in means.iter_mut().enumerate() {
                 let g = self.group_of[j];
-                let step = plans[g].step(begin - block.start);
+                let k = begin - block.start;
+                let step = plans[g].step(k);
                 let filtered = mean.x;
-                let a =
-                    mean.advance(step, self.t_s[begin + 1] - self.t_s[begin], self.q_rad[j][begin + 1], gains[g].r());
-                let keep = if matches!(step.forward, Forward::Gain { .. }) { filtered } else { a };
+                let dt = self.t_s[begin + 1] - self.t_s[begin];
+                let first = plans[g].first.get(k).unwrap_or(gains[g].information());
+                let a = mean.advance(step, first, dt, self.q_rad[j][begin + 1], gains[g].r());
+                let keep = if step.determined() { filtered } else { a };
                 for (signal, v) in x[j].iter_mut().zip(keep) {
                     signal[begin] = v;
                 }
@@ -279,112 +263,48 @@ impl Stretch<'_> {
             begin += 1;
         }
         let work = begin..block.end;
+        let offset = begin - block.start;
         for (c, (x, means)) in x.chunks_mut(LANES).zip(means.chunks_mut(LANES)).enumerate() {
-            let joints = c * LANES;
+            let joints = c * LANES..c * LANES + x.len();
+            let own: Vec<&Plan<N>> = self.group_of[joints.clone()].iter().map(|g| &plans[*g]).collect();
+            let times = &self.t_s[work.start..=work.end];
+            let z: Vec<&[f64]> = self.q_rad[joints].iter().map(|q| &q[work.start + 1..=work.end]).collect();
             match x.len() {
-                4 => self.forward_lanes::<N, 4>(joints, &work, block.start, plans, means, x),
-                3 => self.forward_lanes::<N, 3>(joints, &work, block.start, plans, means, x),
-                2 => self.forward_lanes::<N, 2>(joints, &work, block.start, plans, means, x),
-                _ => self.forward_lanes::<N, 1>(joints, &work, block.start, plans, means, x),
+                4 => lanes::forward::<N, 4>(times, &z, &own, offset, means, window(x, &work)),
+                3 => lanes::forward::<N, 3>(times, &z, &own, offset, means, window(x, &work)),
+                2 => lanes::forward::<N, 2>(times, &z, &own, offset, means, window(x, &work)),
+                _ => lanes::forward::<N, 1>(times, &z, &own, offset, means, window(x, &work)),
             }
-        }
-    }
-
-    fn forward_lanes<const N: usize, const J: usize>(
-        &self,
-        joints: usize,
-        work: &Range<usize>,
-        offset: usize,
-        plans: &[Plan<N>],
-        means: &mut [Mean<N>],
-        x: &mut [[Vec<f64>; N]],
-    ) {
-        let own: [&Plan<N>; J] = std::array::from_fn(|l| &plans[self.group_of[joints + l]]);
-        let mut state: [Vector<N>; J] = std::array::from_fn(|l| means[l].x);
-        let mut k = work.start;
-        while k < work.end {
-            let end = own.iter().map(|p| p.run_end(k - offset, work.end - offset)).min().unwrap_or(0) + offset;
-            let gain: [Vector<N>; J] = std::array::from_fn(|l| match own[l].step(k - offset).forward {
-                Forward::Gain { k, .. } => k,
-                Forward::Information { .. } => [0.0; N],
-            });
-            let len = end - k;
-            let t = &self.t_s[k..=end];
-            let z: [&[f64]; J] = std::array::from_fn(|l| &self.q_rad[joints + l][k + 1..=end]);
-            let mut lanes = x.iter_mut();
-            let out: [[&mut [f64]; N]; J] = std::array::from_fn(|_| match lanes.next() {
-                Some(signals) => signals.each_mut().map(|s| &mut s[k..end]),
-                None => std::array::from_fn(|_| Default::default()),
-            });
-            for m in 0..len {
-                let dt = t[m + 1] - t[m];
-                for l in 0..J {
-                    for i in 0..N {
-                        out[l][i][m] = state[l][i];
-                    }
-                    let predicted = carried(&state[l], dt);
-                    let innovation = z[l][m] - predicted[0];
-                    for i in 0..N {
-                        state[l][i] = predicted[i] + gain[l][i] * innovation;
-                    }
-                }
-            }
-            k = end;
-        }
-        for l in 0..J {
-            means[l].x = state[l];
         }
     }
 
     /// Smooths the samples `block` backward from the smoothed sample `block.end`.
     fn backward<const N: usize>(&self, block: Range<usize>, plans: &[Plan<N>], x: &mut [[Vec<f64>; N]]) {
         for (c, x) in x.chunks_mut(LANES).enumerate() {
-            let joints = c * LANES;
+            let joints = c * LANES..c * LANES + x.len();
+            let own: Vec<&Plan<N>> = self.group_of[joints].iter().map(|g| &plans[*g]).collect();
+            let times = &self.t_s[block.start..=block.end];
+            let reach = block.start..block.end + 1;
             match x.len() {
-                4 => self.backward_lanes::<N, 4>(joints, &block, plans, x),
-                3 => self.backward_lanes::<N, 3>(joints, &block, plans, x),
-                2 => self.backward_lanes::<N, 2>(joints, &block, plans, x),
-                _ => self.backward_lanes::<N, 1>(joints, &block, plans, x),
+                4 => lanes::backward::<N, 4>(times, &own, window(x, &reach)),
+                3 => lanes::backward::<N, 3>(times, &own, window(x, &reach)),
+                2 => lanes::backward::<N, 2>(times, &own, window(x, &reach)),
+                _ => lanes::backward::<N, 1>(times, &own, window(x, &reach)),
             }
         }
     }
+}
 
-    fn backward_lanes<const N: usize, const J: usize>(
-        &self,
-        joints: usize,
-        block: &Range<usize>,
-        plans: &[Plan<N>],
-        x: &mut [[Vec<f64>; N]],
-    ) {
-        let own: [&Plan<N>; J] = std::array::from_fn(|l| &plans[self.group_of[joints + l]]);
-        let mut state: [Vector<N>; J] = std::array::from_fn(|l| std::array::from_fn(|i| x[l][i][block.end]));
-        let mut end = block.end;
-        while end > block.start {
-            let k = own.iter().map(|p| run_start(&p.index, end - 1 - block.start)).max().unwrap_or(0) + block.start;
-            let c: [[Vector<N>; N]; J] = std::array::from_fn(|l| own[l].step(k - block.start).back.c);
-            let direct: [bool; J] =
-                std::array::from_fn(|l| matches!(own[l].step(k - block.start).forward, Forward::Information { .. }));
-            let t = &self.t_s[k..=end];
-            let mut lanes = x.iter_mut();
-            let out: [[&mut [f64]; N]; J] = std::array::from_fn(|_| match lanes.next() {
-                Some(signals) => signals.each_mut().map(|s| &mut s[k..end]),
-                None => std::array::from_fn(|_| Default::default()),
-            });
-            for m in (0..end - k).rev() {
-                let dt = t[m + 1] - t[m];
-                for l in 0..J {
-                    let kept: Vector<N> = std::array::from_fn(|i| out[l][i][m]);
-                    let from = if direct[l] { [0.0; N] } else { carried(&kept, dt) };
-                    let news = apply(&c[l], &std::array::from_fn(|i| state[l][i] - from[i]));
-                    for i in 0..N {
-                        state[l][i] = kept[i] + news[i];
-                        out[l][i][m] = state[l][i];
-                    }
-                }
-            }
-            end = k;
-        }
-    }
+/// The samples `range` of `J` joints' states.
+fn window<'a, const N: usize, const J: usize>(
+    x: &'a mut [[Vec<f64>; N]],
+    range: &Range<usize>,
+) -> [[&'a mut [f64]; N]; J] {
+    let mut joints = x.iter_mut();
+    std::array::from_fn(|_| match joints.next() {
+        Some(signals) => signals.each_mut().map(|s| &mut s[range.clone()]),
+        None => std::array::from_fn(|_| Default::default()),
+    })
 }
 
 /// Start of the run of equal steps that ends with `k`.

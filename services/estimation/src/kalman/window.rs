@@ -220,7 +220,7 @@ impl<const N: usize> Window<N> {
                 None => self.raw[before * n + j],
             };
             self.raw[place * n + j] = z;
-            let a = mean.advance(gains.step(), dt, z, gains.r());
+            let a = mean.advance(gains.step(), gains.information(), dt, z, gains.r());
             if !waiting {
                 continue;
             }

@@ -14,12 +14,14 @@
 //! mark, CRLF, empty lines and trailing delimiters are accepted. A last row without a newline that is short
 //! or ends in half a number was cut off in mid-write: dropped and counted. If what remains of its last number
 //! still reads as a number it cannot be told from a whole row, and is kept.
+//!
+//! Rows are split here and not by the `csv` crate: that one has no bound on a row's length, and places an error
+//! at the blank lines before a row instead of at the row.
 
 use super::{Format, Request};
 use crate::condition::{MAX_TIME_S, repair};
 use crate::files::open_error;
 use crate::sample::{About, RawReader, Sample};
-use csv::ByteRecord;
 use lacuna_interfaces::{BadInput, Joints, MAX_JOINTS, Repair, RepairKind, RobotFile, flag};
 use std::fs::File;
 use std::io::Read;
@@ -37,11 +39,10 @@ fn open(request: &Request<'_>) -> Result<Box<dyn RawReader>, BadInput> {
 
 /// Reads CSV from any byte source.
 pub(crate) struct CsvReader<R> {
-    csv: csv::Reader<LineGuard<R>>,
-    row: ByteRecord,
+    lines: Lines<R>,
+    row: Row,
     columns: Columns,
     about: About,
-    line: u64,
     truncated: u64,
 }
 
@@ -62,28 +63,13 @@ struct Columns {
 
 impl<R: Read + Send> CsvReader<R> {
     pub(crate) fn new(source: R, robot: &RobotFile, extra: bool) -> Result<Self, BadInput> {
-        let mut guard = LineGuard::new(source);
-        let delimiter = guard.peek_header().map_err(|e| read_error(&e, 1))?;
-        let mut csv = csv::ReaderBuilder::new()
-            .has_headers(false)
-            .flexible(true)
-            .quoting(false)
-            .delimiter(delimiter)
-            .buffer_capacity(64 << 10)
-            .from_reader(guard);
-        let mut row = ByteRecord::new();
-        if !csv.read_byte_record(&mut row).map_err(|e| csv_error(e, 1))? {
+        let mut lines = Lines::new(source);
+        let mut row = Row::default();
+        if !row.read(&mut lines)? {
             return Err(BadInput::new("found an empty file; expected a header line with t, q1…, tau1…").at_line(1));
         }
-        let line = row.position().map_or(1, csv::Position::line);
-        let (columns, about) = Columns::find(&row, robot, extra).map_err(|e| e.at_line(line))?;
-        Ok(Self { csv, row, columns, about, line, truncated: 0 })
-    }
-
-    /// True if the row read last is the last line and has no newline.
-    fn is_cut_tail(&mut self) -> bool {
-        let mut next = ByteRecord::new();
-        matches!(self.csv.read_byte_record(&mut next), Ok(false)) && !self.csv.get_ref().ends_with_newline()
+        let (columns, about) = Columns::find(&row, robot, extra).map_err(|e| e.at_line(lines.line))?;
+        Ok(Self { lines, row, columns, about, truncated: 0 })
     }
 }
 
@@ -93,22 +79,21 @@ impl<R: Read + Send> RawReader for CsvReader<R> {
     }
 
     fn next_sample(&mut self, out: &mut Sample) -> Result<bool, BadInput> {
-        if !self.csv.read_byte_record(&mut self.row).map_err(|e| csv_error(e, self.line + 1))? {
+        if !self.row.read(&mut self.lines)? {
             return Ok(false);
         }
-        self.line = self.row.position().map_or(self.line + 1, csv::Position::line);
         match self.columns.fill(&self.row, out) {
             Ok(()) => Ok(true),
-            Err(_) if self.is_cut_tail() => {
+            Err(_) if !self.lines.terminated && self.row.looks_cut(self.columns.names.len()) => {
                 self.truncated += 1;
                 Ok(false)
             }
-            Err(error) => Err(error.at_line(self.line)),
+            Err(error) => Err(self.locate(error)),
         }
     }
 
     fn locate(&self, error: BadInput) -> BadInput {
-        error.at_line(self.line)
+        error.at_line(self.lines.line)
     }
 
     fn repairs(&self) -> Vec<Repair> {
@@ -118,8 +103,8 @@ impl<R: Read + Send> RawReader for CsvReader<R> {
 }
 
 impl Columns {
-    fn find(header: &ByteRecord, robot: &RobotFile, extra: bool) -> Result<(Self, About), BadInput> {
-        let mut names: Vec<String> = header.iter().map(|f| String::from_utf8_lossy(bare(f)).into_owned()).collect();
+    fn find(header: &Row, robot: &RobotFile, extra: bool) -> Result<(Self, About), BadInput> {
+        let mut names: Vec<String> = header.fields().map(|f| String::from_utf8_lossy(bare(f)).into_owned()).collect();
         while names.last().is_some_and(String::is_empty) {
             names.pop();
         }
@@ -221,9 +206,9 @@ impl Columns {
         about
     }
 
-    fn fill(&self, row: &ByteRecord, out: &mut Sample) -> Result<(), BadInput> {
+    fn fill(&self, row: &Row, out: &mut Sample) -> Result<(), BadInput> {
         let width = self.names.len();
-        if row.len() < width || row.iter().skip(width).any(|f| !bare(f).is_empty()) {
+        if row.len() < width || row.fields().skip(width).any(|f| !bare(f).is_empty()) {
             return Err(BadInput::new(format!("found {} fields; expected {width}, as in the header", row.len())));
         }
         let m = &mut out.measured;
@@ -253,23 +238,23 @@ impl Columns {
         Ok(())
     }
 
-    fn list(&self, row: &ByteRecord, from: &[usize], to: &mut Joints) -> Result<(), BadInput> {
+    fn list(&self, row: &Row, from: &[usize], to: &mut Joints) -> Result<(), BadInput> {
         for (&i, slot) in from.iter().zip(to) {
             *slot = self.number(row, i)?;
         }
         Ok(())
     }
 
-    fn number(&self, row: &ByteRecord, i: usize) -> Result<f64, BadInput> {
+    fn number(&self, row: &Row, i: usize) -> Result<f64, BadInput> {
         let value = parse_number(self.field(row, i)).filter(|v| v.is_finite());
         value.ok_or_else(|| self.not_a(row, i, "a finite number"))
     }
 
-    fn field<'a>(&self, row: &'a ByteRecord, i: usize) -> &'a [u8] {
+    fn field<'a>(&self, row: &'a Row, i: usize) -> &'a [u8] {
         row.get(i).map_or(&[], bare)
     }
 
-    fn not_a(&self, row: &ByteRecord, i: usize, expected: &str) -> BadInput {
+    fn not_a(&self, row: &Row, i: usize, expected: &str) -> BadInput {
         let text = String::from_utf8_lossy(self.field(row, i));
         let text: String = text.chars().take(40).filter(|c| !c.is_control()).collect();
         let name = self.names.get(i).map_or("", String::as_str);
@@ -321,98 +306,133 @@ fn parse_ns(field: &[u8]) -> Option<i64> {
     Some(if negative { -ns } else { ns })
 }
 
-fn csv_error(error: csv::Error, line: u64) -> BadInput {
-    match error.into_kind() {
-        csv::ErrorKind::Io(e) => read_error(&e, line),
-        other => BadInput::new(format!("cannot be read: {other:?}")).at_line(line),
+/// A row's bytes, cut into fields.
+#[derive(Debug, Default)]
+struct Row {
+    bytes: Vec<u8>,
+    /// Where each field ends.
+    ends: Vec<usize>,
+    /// Chosen at the header.
+    delimiter: Option<u8>,
+}
+
+impl Row {
+    /// Reads the next row that is not blank; `false` at the end.
+    fn read<R: Read>(&mut self, lines: &mut Lines<R>) -> Result<bool, BadInput> {
+        let line = lines.line + 1;
+        let read = lines.next_line().map_err(|e| BadInput::new(format!("cannot be read: {e}")).at_line(line))?;
+        let Some(line) = read else { return Ok(false) };
+        self.bytes.clear();
+        self.bytes.extend_from_slice(line);
+        let delimiter = *self.delimiter.get_or_insert_with(|| {
+            let choices = [b',', b';', b'\t'];
+            choices.into_iter().find(|b| line.contains(b)).unwrap_or(b',')
+        });
+        self.ends.clear();
+        self.ends.extend(memchr::memchr_iter(delimiter, line));
+        self.ends.push(line.len());
+        Ok(true)
+    }
+
+    fn len(&self) -> usize {
+        self.ends.len()
+    }
+
+    fn get(&self, i: usize) -> Option<&[u8]> {
+        let end = *self.ends.get(i)?;
+        let start = if i == 0 { 0 } else { self.ends.get(i - 1)? + 1 };
+        self.bytes.get(start..end)
+    }
+
+    /// Whether a row without a newline, which only the last one can be, stops in mid-write: short, or ending in
+    /// what is not a number.
+    fn looks_cut(&self, width: usize) -> bool {
+        let last = self.get(self.len().saturating_sub(1)).map_or(&[][..], bare);
+        self.len() < width || parse_number(last).is_none()
+    }
+
+    fn fields(&self) -> impl Iterator<Item = &[u8]> {
+        (0..self.len()).map_while(|i| self.get(i))
     }
 }
 
-fn read_error(error: &std::io::Error, line: u64) -> BadInput {
-    BadInput::new(format!("cannot be read: {error}")).at_line(line)
-}
-
-/// Passes bytes on, strips a byte order mark, remembers whether the last one was a newline, and refuses lines
-/// longer than [`MAX_LINE`].
-struct LineGuard<R> {
+/// Splits bytes into lines, within a bound.
+#[derive(Debug)]
+struct Lines<R> {
     source: R,
-    head: Vec<u8>,
-    head_at: usize,
-    since_newline: usize,
-    any: bool,
+    buffer: Vec<u8>,
+    /// What of the buffer is read and not yet handed out.
+    rest: std::ops::Range<usize>,
+    /// Number of the line handed out last.
+    line: u64,
+    /// Whether it ended with a newline.
+    terminated: bool,
 }
 
-impl<R: Read> LineGuard<R> {
+const BLOCK: usize = 64 << 10;
+
+impl<R: Read> Lines<R> {
     fn new(source: R) -> Self {
-        Self { source, head: Vec::new(), head_at: 0, since_newline: 0, any: false }
+        Self { source, buffer: vec![0; BLOCK], rest: 0..0, line: 0, terminated: true }
     }
 
-    /// Reads ahead over the first line that is not empty and returns the delimiter it uses.
-    fn peek_header(&mut self) -> std::io::Result<u8> {
-        let mut block = [0; 4096];
-        let line_end = loop {
-            let start = self.head.iter().position(|b| !b.is_ascii_whitespace()).unwrap_or(self.head.len());
-            if let Some(len) = self.head[start..].iter().position(|&b| b == b'\n' || b == b'\r') {
-                break start + len;
-            }
-            if self.head.len() > MAX_LINE {
-                return Err(too_long());
-            }
-            let n = read_some(&mut self.source, &mut block)?;
-            if n == 0 {
-                break self.head.len();
-            }
-            self.head.extend_from_slice(&block[..n]);
-            if self.head.starts_with(b"\xef\xbb\xbf") {
-                self.head.drain(..3);
+    /// The next line that holds more than white space, without its end.
+    fn next_line(&mut self) -> std::io::Result<Option<&[u8]>> {
+        let found = loop {
+            let Some(found) = self.any_line()? else { return Ok(None) };
+            self.line += 1;
+            let line = self.buffer.get(found.clone()).unwrap_or(&[]);
+            let line = if self.line == 1 { line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(line) } else { line };
+            if !line.trim_ascii().is_empty() {
+                let skipped = found.len() - line.len();
+                break found.start + skipped..found.end;
             }
         };
-        let header = &self.head[..line_end];
-        let holds = |b| header.contains(&b);
-        Ok(if !holds(b',') && holds(b';') {
-            b';'
-        } else if !holds(b',') && holds(b'\t') {
-            b'\t'
-        } else {
-            b','
-        })
+        let line = self.buffer.get(found).unwrap_or(&[]);
+        Ok(Some(line.strip_suffix(b"\r").unwrap_or(line)))
     }
 
-    fn ends_with_newline(&self) -> bool {
-        self.any && self.since_newline == 0
-    }
-}
-
-fn read_some(source: &mut impl Read, buffer: &mut [u8]) -> std::io::Result<usize> {
-    loop {
-        match source.read(buffer) {
-            Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
-            other => return other,
+    fn any_line(&mut self) -> std::io::Result<Option<std::ops::Range<usize>>> {
+        let mut searched = 0;
+        loop {
+            let unread = self.buffer.get(self.rest.clone()).unwrap_or(&[]);
+            if let Some(at) = memchr::memchr(b'\n', unread.get(searched..).unwrap_or(&[])) {
+                let start = self.rest.start;
+                let end = start + searched + at;
+                self.rest.start = end + 1;
+                self.terminated = true;
+                return Ok(Some(start..end));
+            }
+            searched = unread.len();
+            if searched > MAX_LINE {
+                return Err(std::io::Error::other(format!(
+                    "found a line longer than {MAX_LINE} bytes; expected rows of numbers"
+                )));
+            }
+            if self.refill()? == 0 {
+                let last = std::mem::replace(&mut self.rest, 0..0);
+                self.terminated = false;
+                return Ok((!last.is_empty()).then_some(last));
+            }
         }
     }
-}
 
-fn too_long() -> std::io::Error {
-    std::io::Error::other(format!("found a line longer than {MAX_LINE} bytes; expected rows of numbers"))
-}
-
-impl<R: Read> Read for LineGuard<R> {
-    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
-        let n = if self.head_at < self.head.len() {
-            let n = buffer.len().min(self.head.len() - self.head_at);
-            buffer[..n].copy_from_slice(&self.head[self.head_at..self.head_at + n]);
-            self.head_at += n;
-            n
-        } else {
-            read_some(&mut self.source, buffer)?
+    /// Reads another block behind what is left; 0 at the end.
+    fn refill(&mut self) -> std::io::Result<usize> {
+        self.buffer.copy_within(self.rest.clone(), 0);
+        self.rest = 0..self.rest.len();
+        let room = self.rest.end + BLOCK;
+        if self.buffer.len() < room {
+            self.buffer.resize(room, 0);
+        }
+        let target = self.buffer.get_mut(self.rest.end..).unwrap_or(&mut []);
+        let n = loop {
+            match self.source.read(target) {
+                Err(e) if e.kind() == std::io::ErrorKind::Interrupted => {}
+                other => break other?,
+            }
         };
-        let seen = &buffer[..n];
-        self.any |= n > 0;
-        // From the back: the last newline of a block settles it, nearly always within one row.
-        match seen.iter().rposition(|&b| b == b'\n') {
-            Some(at) => self.since_newline = n - at - 1,
-            None => self.since_newline += n,
-        }
-        if self.since_newline > MAX_LINE { Err(too_long()) } else { Ok(n) }
+        self.rest.end += n;
+        Ok(n)
     }
 }

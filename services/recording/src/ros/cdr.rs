@@ -329,7 +329,10 @@ mod tests {
 
     #[test]
     fn big_endian_is_read_too() {
-        let mut m = vec![0, 0, 0, 0, 0, 0, 0, 5, 0, 0, 0, 7, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1];
+        let mut m = vec![0, 0, 0, 0]; // encapsulation: big-endian
+        m.extend([0, 0, 0, 5, 0, 0, 0, 7]);
+        m.extend([0, 0, 0, 1, 0, 0, 0, 0]); // frame_id and padding to 16
+        m.extend([0, 0, 0, 1, 0, 0, 0, 0]); // one number, padding to 24
         m.extend(2.5_f64.to_be_bytes());
         let mut c = Cursor::new(&m).unwrap();
         assert_eq!(c.header(), Some(5_000_000_007));

@@ -1,0 +1,123 @@
+//! Whatever the bytes, readers answer with samples or with an error in words: no panic, no hang, no flood of
+//! memory.
+
+mod common;
+
+use common::{COMPRESSIONS, csv, motion, robot, write_mcap};
+use lacuna_recording::container::WriterOptions;
+use lacuna_recording::{open, read_all, recover};
+use proptest::prelude::*;
+use std::path::Path;
+
+fn read(path: &Path, bytes: &[u8]) {
+    std::fs::write(path, bytes).unwrap();
+    match read_all(path, &robot()) {
+        Ok(r) => assert!(!r.is_empty() && r.q_rad.iter().flatten().all(|v| v.is_finite())),
+        Err(e) => assert!(!e.to_string().contains('\n'), "{e}"),
+    }
+}
+
+/// A small valid file: MCAP in several small chunks, or CSV.
+fn valid(kind: usize) -> (&'static str, Vec<u8>) {
+    if kind == COMPRESSIONS.len() {
+        return ("csv", csv(&motion(40)).into_bytes());
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    let options = WriterOptions { compression: COMPRESSIONS[kind], chunk_bytes: 2000, ..WriterOptions::default() };
+    write_mcap(&path, &motion(40), &options);
+    ("mcap", std::fs::read(&path).unwrap())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(256))]
+
+    #[test]
+    fn arbitrary_bytes(bytes in proptest::collection::vec(any::<u8>(), 0..2000), magic in any::<bool>()) {
+        let dir = tempfile::tempdir().unwrap();
+        read(&dir.path().join("a.csv"), &bytes);
+        let head = if magic { mcap::MAGIC } else { &[] };
+        read(&dir.path().join("a.mcap"), &[head, &bytes].concat());
+    }
+
+    #[test]
+    fn arbitrary_text(text in "[-+0-9a-z.,;\\n\\r\" ]{0,400}") {
+        let dir = tempfile::tempdir().unwrap();
+        read(&dir.path().join("a.csv"), format!("t,q1,q2,tau1,tau2,x_ta,x_tb,x_enc,x_on\n{text}").as_bytes());
+    }
+
+    #[test]
+    fn mutated_files(
+        kind in 0..=COMPRESSIONS.len(),
+        changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+        cut in any::<prop::sample::Index>(),
+        cuts in any::<bool>(),
+    ) {
+        let (extension, mut bytes) = valid(kind);
+        for (at, value) in changes {
+            let at = at.index(bytes.len());
+            bytes[at] = value;
+        }
+        if cuts {
+            bytes.truncate(cut.index(bytes.len()));
+        }
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join(format!("a.{extension}"));
+        read(&path, &bytes);
+        if extension == "mcap" {
+            let _ = recover(&path, dir.path().join("b.mcap"), &WriterOptions::default());
+        }
+    }
+}
+
+#[test]
+fn claims_of_size_are_not_believed() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    for opcode in 1..=20_u8 {
+        for len in [1_u64 << 20, 1 << 40, u64::MAX - 8, u64::MAX] {
+            let mut bytes = mcap::MAGIC.to_vec();
+            bytes.push(opcode);
+            bytes.extend(len.to_le_bytes());
+            bytes.extend([7; 100]);
+            std::fs::write(&path, &bytes).unwrap();
+            assert!(open(&path, &robot()).and_then(|mut r| r.next_sample().map(|_| ())).is_err());
+        }
+    }
+    // A chunk that claims to decompress to 2^60 bytes.
+    let (_, mut bytes) = valid(2);
+    let chunk = mcap_chunk(&bytes);
+    bytes[chunk + 9 + 16..chunk + 9 + 24].copy_from_slice(&(1_u64 << 60).to_le_bytes());
+    std::fs::write(&path, &bytes).unwrap();
+    let e = open(&path, &robot()).unwrap_err().to_string();
+    assert!(e.contains("claims"), "{e}");
+}
+
+/// Offset of the first chunk record.
+fn mcap_chunk(bytes: &[u8]) -> usize {
+    let mut at = mcap::MAGIC.len();
+    while bytes[at] != mcap::records::op::CHUNK {
+        at += 9 + u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
+    }
+    at
+}
+
+#[test]
+fn a_damaged_chunk_is_an_error_and_recovery_steps_over_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    let options = WriterOptions { chunk_bytes: 20_000, ..WriterOptions::default() };
+    write_mcap(&path, &motion(1000), &options);
+    let mut bytes = std::fs::read(&path).unwrap();
+    let chunk = mcap_chunk(&bytes);
+    bytes[chunk + 3000] ^= 0xff;
+    std::fs::write(&path, &bytes).unwrap();
+    let e = read_all(&path, &robot()).unwrap_err().to_string();
+    assert!(e.contains(&format!("the chunk at byte {chunk} ")), "{e}");
+    let to = dir.path().join("b.mcap");
+    let recovered = recover(&path, &to, &WriterOptions::default()).unwrap();
+    assert_eq!((recovered.was_cut, recovered.damages.len()), (false, 1));
+    let left = read_all(&to, &robot()).unwrap();
+    assert!(left.len() > 800 && left.len() < 1000, "{}", left.len());
+    assert_eq!(left.t_s.last(), Some(&0.999));
+}

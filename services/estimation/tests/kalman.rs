@@ -138,7 +138,7 @@ fn steady_state_and_exact_path_agree() {
             // On the stream as well, and there the steady path is really taken.
             let lag = Lag::Samples(40);
             let (a, b) =
-                (stream(&steady, lag, &t, &[q.clone()].to_vec()), stream(&exact, lag, &t, &[q.clone()].to_vec()));
+                (stream(&steady, lag, &t, std::slice::from_ref(&q)), stream(&exact, lag, &t, std::slice::from_ref(&q)));
             for (a, b) in a.iter().zip(&b) {
                 assert!(close(a.0[0].qdd, b.0[0].qdd, 1e-9 * qdd) && close(a.0[0].sd_qdd / b.0[0].sd_qdd, 1.0, 1e-9));
             }
@@ -196,11 +196,11 @@ fn noise_is_found_from_the_data() {
     let noise = Noise { process: 200.0, measurement_sd: 2e-5 };
     let (t, _, z) = motion(noise, &[1e-3; 6000], 4);
     let model = MotionModel::ConstantAcceleration;
-    let both = estimate_noise(model, &t, &z, 1.0, None, 1e-9).unwrap();
+    let both = estimate_noise(model, &t, &z, 1e-3, 1.0, None, 1e-9).unwrap();
     assert!((both.noise.measurement_sd / noise.measurement_sd - 1.0).abs() < 0.05, "{both:?}");
     assert!((both.noise.process / noise.process).ln().abs() < 0.35, "{both:?}");
     assert!(!both.at_limit);
-    let known = estimate_noise(model, &t, &z, 1.0, Some(2e-5), 1e-9).unwrap();
+    let known = estimate_noise(model, &t, &z, 1e-3, 1.0, Some(2e-5), 1e-9).unwrap();
     assert!((known.noise.process / noise.process).ln().abs() < 0.35, "{known:?}");
     // No noise around the estimate is likelier.
     for (a, b) in [(1.3, 1.0), (0.7, 1.0), (1.0, 1.1), (1.0, 0.9)] {
@@ -214,7 +214,7 @@ fn noise_is_found_from_the_data() {
     // A joint at rest shows no motion.
     let mut draw = Draw::new(1);
     let still: Vec<f64> = t.iter().map(|_| 0.5 + 1e-6 * draw.normal()).collect();
-    assert!(estimate_noise(model, &t, &still, 1.0, None, 1e-9).unwrap().at_limit);
+    assert!(estimate_noise(model, &t, &still, 1e-3, 1.0, None, 1e-9).unwrap().at_limit);
 }
 
 #[test]

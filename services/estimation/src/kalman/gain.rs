@@ -115,7 +115,11 @@ pub(super) struct Period {
 
 impl Period {
     pub fn new(settings: &Settings) -> Self {
-        let tolerance = if settings.steady_state { settings.period_tolerance } else { -1.0 };
+        Self::repeating(if settings.steady_state { settings.period_tolerance } else { -1.0 })
+    }
+
+    /// Steps that differ by less than the fraction `tolerance` are equal; below zero none are.
+    pub fn repeating(tolerance: f64) -> Self {
         Self { tolerance, period: f64::NAN, last: f64::NAN }
     }
 
@@ -389,18 +393,24 @@ impl<const N: usize> Mean<N> {
     }
 }
 
-/// Joints sorted by noise: the distinct noises' gains, and each joint's place among them.
-pub(super) fn grouped<const N: usize>(settings: &Settings) -> (Vec<Gains<N>>, Vec<usize>) {
-    let mut groups: Vec<Gains<N>> = Vec::new();
-    let mut distinct: Vec<Noise> = Vec::new();
-    let mut group_of = Vec::with_capacity(settings.noise.len());
-    for noise in &settings.noise {
-        let place = distinct.iter().position(|d| d == noise).unwrap_or_else(|| {
-            distinct.push(*noise);
-            groups.push(Gains::new(*noise, settings.update));
-            distinct.len() - 1
-        });
+/// Joints sorted by noise: fills `groups` with the distinct noises' gains and `group_of` with each joint's
+/// place among them. Does not allocate if both have room for all joints.
+pub(super) fn group<const N: usize>(
+    noise: &[Noise],
+    update: CovarianceUpdate,
+    groups: &mut Vec<Gains<N>>,
+    group_of: &mut Vec<usize>,
+) {
+    groups.clear();
+    group_of.clear();
+    for (j, own) in noise.iter().enumerate() {
+        let place = match noise[..j].iter().position(|earlier| earlier == own) {
+            Some(earlier) => group_of[earlier],
+            None => {
+                groups.push(Gains::new(*own, update));
+                groups.len() - 1
+            }
+        };
         group_of.push(place);
     }
-    (groups, group_of)
 }

@@ -8,9 +8,8 @@
 //! bandwidth (see [`Noise::from_bandwidth`]), searched on a grid and refined by golden section.
 
 use super::gain::{Gains, Mean, Period, carried};
-use super::{CovarianceUpdate, MotionModel, Noise, Settings};
+use super::{CovarianceUpdate, MotionModel, Noise};
 use crate::error::{EstimationError, all_finite, increasing, positive, same_length};
-use crate::filter::median_step;
 
 /// What [`estimate_noise`] found.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,8 +49,9 @@ pub fn log_likelihood(
     Ok(-0.5 * (sums.count * std::f64::consts::TAU.ln() + sums.log_variance + sums.square))
 }
 
-/// Maximum-likelihood noise of one joint. `measurement_sd` [rad] if it is known (encoder resolution), else it
-/// is estimated too, not below `least_sd`.
+/// Maximum-likelihood noise of one joint sampled about every `period_s`, which only sets the range of the
+/// search. `measurement_sd` [rad] if it is known, else it is estimated too, not below `least_sd`. Does not
+/// allocate.
 ///
 /// # Errors
 /// As [`log_likelihood`]; [`EstimationError::TooShort`] for fewer than 50 samples.
@@ -59,6 +59,7 @@ pub fn estimate_noise(
     model: MotionModel,
     t_s: &[f64],
     q_rad: &[f64],
+    period_s: f64,
     gap_s: f64,
     measurement_sd: Option<f64>,
     least_sd: f64,
@@ -68,10 +69,10 @@ pub fn estimate_noise(
         positive("measurement standard deviation", sd)?;
     }
     positive("least measurement standard deviation", least_sd)?;
-    let period_s = match median_step(t_s) {
-        Some(period) if t_s.len() >= 50 => period,
-        _ => return Err(EstimationError::TooShort { what: "noise estimate", found: t_s.len(), needed: 50 }),
-    };
+    positive("period_s", period_s)?;
+    if t_s.len() < 50 {
+        return Err(EstimationError::TooShort { what: "noise estimate", found: t_s.len(), needed: 50 });
+    }
     let score = |ln_bandwidth: f64| profile(model, ln_bandwidth, period_s, gap_s, t_s, q_rad, measurement_sd, least_sd);
     let [low, high] = RANGE.map(|share| (share / period_s).ln());
     let step = (high - low) / (GRID - 1) as f64;
@@ -135,14 +136,14 @@ struct Sums {
 
 fn innovations(model: MotionModel, noise: Noise, gap_s: f64, t_s: &[f64], q_rad: &[f64]) -> Sums {
     match model {
-        MotionModel::ConstantAcceleration => run::<3>(model, noise, gap_s, t_s, q_rad),
-        MotionModel::ConstantJerk => run::<4>(model, noise, gap_s, t_s, q_rad),
+        MotionModel::ConstantAcceleration => run::<3>(noise, gap_s, t_s, q_rad),
+        MotionModel::ConstantJerk => run::<4>(noise, gap_s, t_s, q_rad),
     }
 }
 
-fn run<const N: usize>(model: MotionModel, noise: Noise, gap_s: f64, t_s: &[f64], q_rad: &[f64]) -> Sums {
+fn run<const N: usize>(noise: Noise, gap_s: f64, t_s: &[f64], q_rad: &[f64]) -> Sums {
     let mut gains = Gains::<N>::new(noise, CovarianceUpdate::Joseph);
-    let mut period = Period::new(&Settings::new(model, vec![noise]));
+    let mut period = Period::repeating(1e-4);
     let mut sums = Sums::default();
     let Some((&first, rest)) = q_rad.split_first() else { return sums };
     let mut mean = Mean::<N>::start(first);

@@ -150,7 +150,7 @@ impl Settings {
             positive("process noise", n.process)?;
             positive("measurement standard deviation", n.measurement_sd)?;
         }
-        if !(self.gap_s > 0.0) {
+        if self.gap_s.is_nan() || self.gap_s <= 0.0 {
             return Err(EstimationError::Setting { what: "gap_s", found: self.gap_s, expected: "a positive number" });
         }
         if !(0.0..0.1).contains(&self.period_tolerance) {

@@ -5,7 +5,7 @@
 //! are too many to keep, so that memory beyond the output stays below about 100 MB however long and
 //! irregular the recording is.
 
-use super::gain::{Gains, Mean, Period, grouped};
+use super::gain::{Gains, Mean, Period, group};
 use super::lanes::{self, Plan};
 use super::small::{Vector, congruence_plus};
 use super::{MotionModel, PRIOR_SD, Settings, Smoothed};
@@ -111,7 +111,8 @@ fn check(settings: &Settings, t_s: &[f64], q_rad: &[&[f64]]) -> Result<(), Estim
 }
 
 fn smooth_order<const N: usize>(settings: &Settings, t_s: &[f64], q_rad: &[&[f64]], out: &mut Smoothed) {
-    let (groups, group_of) = grouped::<N>(settings);
+    let mut groups: Vec<Gains<N>> = Vec::new();
+    group(&settings.noise, settings.update, &mut groups, &mut out.group_of);
     let (n, joints) = (t_s.len(), q_rad.len());
     let mut lists = [&mut out.q_rad, &mut out.qd_rad_s, &mut out.qdd_rad_s2, &mut out.spare];
     for list in &mut lists {
@@ -128,7 +129,6 @@ fn smooth_order<const N: usize>(settings: &Settings, t_s: &[f64], q_rad: &[&[f64
     for signal in out.deviations.iter_mut().flatten() {
         *signal = sized(std::mem::take(signal));
     }
-    out.group_of = group_of;
     out.starts.clear();
     for range in segments(t_s, settings.gap_s) {
         out.starts.push(range.start);

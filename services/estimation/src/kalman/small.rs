@@ -82,7 +82,7 @@ pub(super) fn cholesky<const N: usize>(s: &Matrix<N>, floor: f64) -> Option<Matr
         for k in 0..j {
             pivot -= l[j][k] * l[j][k];
         }
-        if !(pivot > floor * s[j][j]) {
+        if pivot.is_nan() || pivot <= floor * s[j][j] {
             return None;
         }
         l[j][j] = pivot.sqrt();
@@ -131,7 +131,7 @@ pub(super) fn inverse<const N: usize>(a: &Matrix<N>) -> Option<Matrix<N>> {
                 best = i;
             }
         }
-        if !(a[best][j].abs() > 0.0) {
+        if a[best][j] == 0.0 || a[best][j].is_nan() {
             return None;
         }
         a.swap(j, best);

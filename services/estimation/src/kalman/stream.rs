@@ -50,20 +50,12 @@ pub(super) struct Wait {
     pub most: usize,
 }
 
-/// Most samples that may wait.
-const MOST_PENDING: usize = 65_536;
-
-impl FixedLag {
-    /// A smoother that has seen nothing.
-    ///
-    /// # Errors
-    /// [`EstimationError`] for settings or a lag outside their range.
-    pub fn new(settings: &Settings, lag: Lag) -> Result<Self, EstimationError> {
-        settings.validate()?;
+impl Wait {
+    fn new(lag: Lag) -> Result<Self, EstimationError> {
         let (lag_samples, most, lag_ns) = match lag {
             Lag::Samples(n) => (n, n, i64::MAX),
             Lag::Seconds { lag_s, most } => {
-                if !(lag_s >= 0.0 && lag_s <= 1e6) {
+                if !(0.0..=1e6).contains(&lag_s) {
                     let expected = "zero or a positive number up to 1e6";
                     return Err(EstimationError::Setting { what: "lag_s", found: lag_s, expected });
                 }
@@ -74,12 +66,58 @@ impl FixedLag {
             let expected = "at most 65536 samples";
             return Err(EstimationError::Setting { what: "lag", found: most as f64, expected });
         }
-        let wait = Wait { lag_samples, lag_ns, most };
+        Ok(Self { lag_samples, lag_ns, most })
+    }
+}
+
+/// Most samples that may wait.
+const MOST_PENDING: usize = 65_536;
+
+impl FixedLag {
+    /// A smoother that has seen nothing.
+    ///
+    /// # Errors
+    /// [`EstimationError`] for settings or a lag outside their range.
+    pub fn new(settings: &Settings, lag: Lag) -> Result<Self, EstimationError> {
+        settings.validate()?;
+        let wait = Wait::new(lag)?;
         let order = match settings.model {
             MotionModel::ConstantAcceleration => Order::Three(Box::new(Window::new(settings, wait))),
             MotionModel::ConstantJerk => Order::Four(Box::new(Window::new(settings, wait))),
         };
         Ok(Self { order })
+    }
+
+    /// Goes on with other noise, gap and lag: gives out all waiting samples and starts anew with the next
+    /// sample. Does not allocate; the room for waiting samples stays that of [`FixedLag::new`].
+    ///
+    /// # Errors
+    /// [`EstimationError`] for settings or a lag outside their range, another model or number of joints, or a
+    /// lag beyond the room; nothing is changed then.
+    pub fn set(
+        &mut self,
+        settings: &Settings,
+        lag: Lag,
+        emit: &mut dyn FnMut(&LagEstimate<'_>),
+    ) -> Result<(), EstimationError> {
+        settings.validate()?;
+        let wait = Wait::new(lag)?;
+        let (states, joints, room) = match &self.order {
+            Order::Three(w) => (3, w.joints(), w.room()),
+            Order::Four(w) => (4, w.joints(), w.room()),
+        };
+        crate::error::same_length("states", settings.model.order(), states)?;
+        crate::error::same_length("noise per joint", settings.noise.len(), joints)?;
+        if wait.lag_samples != usize::MAX && wait.lag_samples > room {
+            let expected = "within the room for waiting samples";
+            return Err(EstimationError::Setting { what: "lag", found: wait.lag_samples as f64, expected });
+        }
+        self.finish(emit);
+        match &mut self.order {
+            Order::Three(w) => w.set(settings, wait),
+            Order::Four(w) => w.set(settings, wait),
+        }
+        Ok(())
     }
 
     /// Takes the sample of time `stamp_ns` and gives out those that have waited long enough, in order.

@@ -1,6 +1,6 @@
 //! The waiting samples of the fixed-lag smoother and the maps between them, for N states.
 
-use super::gain::{Back, Gains, Mean, Period, carried, grouped};
+use super::gain::{Back, Gains, Mean, Period, carried, group};
 use super::small::{Vector, apply, congruence_plus, product};
 use super::stream::{LagEstimate, Wait};
 use super::{JointState, PRIOR_SD, Settings};
@@ -81,10 +81,13 @@ pub(super) struct Window<const N: usize> {
 
 impl<const N: usize> Window<N> {
     pub fn new(settings: &Settings, mut wait: Wait) -> Self {
-        let (groups, group_of) = grouped::<N>(settings);
+        let n = settings.noise.len();
+        let (mut groups, mut group_of) = (Vec::with_capacity(n), Vec::with_capacity(n));
+        group(&settings.noise, settings.update, &mut groups, &mut group_of);
         // Nothing can be given out before N samples determine the state, whatever the lag.
         wait.most = wait.most.max(N);
-        let (g, n, room) = (groups.len(), group_of.len(), wait.most + 1);
+        // Room for a noise per joint, should [`Window::set`] bring that.
+        let (g, room) = (n, wait.most + 1);
         let zero = Back { c: [[0.0; N]; N], a: [[0.0; N]; N] };
         Self {
             wait,
@@ -108,6 +111,25 @@ impl<const N: usize> Window<N> {
             groups,
             group_of,
         }
+    }
+
+    /// Other noise, gap and lag (within the room of the first), from the next stretch on.
+    pub fn set(&mut self, settings: &Settings, wait: Wait) {
+        self.wait = Wait { most: self.wait.most, ..wait };
+        self.gap_s = settings.gap_s;
+        self.period = Period::new(settings);
+        group(&settings.noise, settings.update, &mut self.groups, &mut self.group_of);
+        self.powers.len = 0;
+        self.powers.version = 0;
+    }
+
+    pub fn joints(&self) -> usize {
+        self.means.len()
+    }
+
+    /// Most samples that can wait besides the newest.
+    pub fn room(&self) -> usize {
+        self.wait.most
     }
 
     pub fn pending(&self) -> usize {
@@ -275,7 +297,7 @@ impl<const N: usize> Window<N> {
         if len > 0 && self.steady_run >= len {
             self.extend_powers(len);
             let g = self.groups.len();
-            self.newer_back.copy_from_slice(&self.powers.table[(len - 1) * g..len * g]);
+            self.newer_back[..g].copy_from_slice(&self.powers.table[(len - 1) * g..len * g]);
             self.steady_run = 0;
         }
     }

@@ -88,7 +88,7 @@ fn reweight(x: &DMatrix<f64>, y: &DVector<f64>, loss: Loss, start: Fit) -> Resul
         let mut size: Vec<f64> = residual.iter().map(|v| v.abs()).collect();
         scale = MAD_TO_SD * median_in_place(&mut size);
         // More than half the rows fitted exactly: nothing is left to weigh.
-        if !(scale > 0.0) {
+        if scale.is_nan() || scale <= 0.0 {
             return Ok(RobustFit { fit, weights, scale, iterations: iteration, converged: true });
         }
         for (w, r) in weights.iter_mut().zip(residual.iter()) {

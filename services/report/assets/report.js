@@ -49,10 +49,10 @@
     var list = [{ label: spec.x.label, value: withUnit(spec.x) }];
     spec.series.forEach(function (s) {
       var o = { label: s.name, show: s.shown, value: withUnit(spec.y) };
-      var stroke = function () { return colour(s.role); };
+      var stroke = function () { return s.role === "measured" ? faded(s.role, 0.75) : colour(s.role); };
       if (s.style === "line") {
         o.stroke = stroke;
-        o.width = s.role === "measured" ? 1.6 : 1.4;
+        o.width = s.role === "measured" ? 2.6 : 1.3;
         if (s.role === "blackbox") o.dash = [6, 4];
         o.points = { show: false };
       } else if (s.style === "points") {
@@ -114,7 +114,7 @@
   function axis(text, size) {
     var font = "12px system-ui, sans-serif";
     return {
-      label: text, labelSize: 20, labelFont: font, font: font, labelGap: 2, size: size, gap: 4, values: ticks,
+      label: text, labelSize: 18, labelFont: font, font: font, labelGap: 2, size: size, gap: 4, values: ticks,
       stroke: function () { return colour("soft"); },
       grid: { stroke: function () { return colour("grid"); }, width: 1 },
       ticks: { stroke: function () { return colour("grid"); }, width: 1, size: 5 }
@@ -191,7 +191,7 @@
     var u = new uPlot({
       width: width(plot), height: spec.height, series: seriesOf(spec), bands: bandsOf(spec),
       scales: { x: { time: false } },
-      axes: [axis(titled(spec.x), 46), axis(titled(spec.y), 62)],
+      axes: [axis(titled(spec.x), 26), axis(titled(spec.y), 56)],
       padding: [8, 10, 0, 0],
       legend: { live: true, markers: { fill: function (c, i) { return i ? colour(spec.series[i - 1].role) : "transparent"; }, width: 0 } },
       cursor: { drag: { x: true, y: true, uni: 40, dist: 4 }, sync: spec.sync ? { key: spec.sync, scales: ["x", null] } : undefined, points: { size: 6 } },

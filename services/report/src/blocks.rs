@@ -183,9 +183,13 @@ pub enum Cell {
     Head(String),
     /// A symbol or formula: `f_v`.
     Math(String),
+    /// A number; the numbers of a column are written with the same number of decimals.
+    Value(f64),
+    /// A number that stands out: the result. Written as [`Cell::Value`].
+    StrongValue(f64),
     /// A number, already formatted.
     Number(String),
-    /// A number, already formatted, that stands out: the result.
+    /// A number, already formatted, that stands out.
     Strong(String),
     /// Text that asks for attention.
     Flag(Tone, String),
@@ -200,13 +204,19 @@ impl Cell {
         Self::Text(text.into())
     }
 
-    /// A number with three significant digits.
+    /// A number; its column decides the decimals.
     #[must_use]
     pub fn number(value: f64) -> Self {
-        Self::Number(number::significant(value, 3))
+        Self::Value(value)
     }
 
-    /// A number with three significant digits, or nothing.
+    /// A number that stands out; its column decides the decimals.
+    #[must_use]
+    pub fn strong(value: f64) -> Self {
+        Self::StrongValue(value)
+    }
+
+    /// A number, or a dash.
     #[must_use]
     pub fn optional(value: Option<f64>) -> Self {
         Self::number(value.unwrap_or(f64::NAN))

@@ -356,10 +356,11 @@ fn with_pauses(rows: &[usize], pauses: &[usize]) -> Vec<Place> {
 /// The range of x that is worth an axis, and whether samples lie outside it.
 fn bulk_range(clouds: &[Cloud<'_>]) -> Option<((f64, f64), bool)> {
     let mut all: Vec<f64> = clouds.iter().flat_map(|c| c.x.iter().copied()).filter(|v| v.is_finite()).collect();
-    all.sort_unstable_by(f64::total_cmp);
-    let (first, last) = (*all.first()?, *all.last()?);
+    let (first, last) = finite_range(&all)?;
     let tail = all.len() / 2000;
-    let (low, high) = (*all.get(tail)?, *all.get(all.len() - 1 - tail)?);
+    let high_rank = all.len() - 1 - tail;
+    let (_, &mut low, _) = all.select_nth_unstable_by(tail, f64::total_cmp);
+    let (_, &mut high, _) = all.select_nth_unstable_by(high_rank, f64::total_cmp);
     let cut = high > low && last - first > 2.0 * (high - low);
     let range = if cut { (low, high) } else { (first, last) };
     (range.1 > range.0).then_some((range, cut))

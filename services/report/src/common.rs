@@ -3,7 +3,7 @@
 use crate::blocks::{Block, Cell, Table, Tone};
 use crate::chart::{Axis, Chart, Cloud, Curve, Role};
 use crate::data::{JointTrace, NamedSeries, ParameterRow, RepairRow, Setup, Stretch, TorqueTrace};
-use crate::number::{fixed, percent, significant, with_interval};
+use crate::number::{compact, fixed, percent, with_interval};
 
 /// What the located mismatch or a finding shades in the charts of one joint.
 #[derive(Debug, Clone, Default)]
@@ -52,10 +52,10 @@ pub(crate) fn setup_facts(setup: &Setup) -> Vec<(String, String)> {
         add("Judged on", stretches(&setup.test));
     }
     if let Some(band) = setup.band_hz {
-        add("Band", format!("0 to {} Hz, zero phase, on torque and model alike", significant(band, 3)));
+        add("Band", format!("0 to {} Hz, zero phase, on torque and model alike", compact(band)));
     }
     if let Some(speed) = setup.moving_rad_s {
-        add("Judged where", format!("moving faster than {} rad/s", significant(speed, 3)));
+        add("Judged where", format!("moving faster than {} rad/s", compact(speed)));
     }
     if let Some(samples) = setup.samples {
         add("Samples", fixed(samples as f64, 0));
@@ -69,9 +69,10 @@ pub(crate) fn parameter_table(caption: &str, rows: &[ParameterRow]) -> Table {
     let any = |has: fn(&ParameterRow) -> bool| rows.iter().any(has);
     let (joint, meaning) = (any(|r| !r.joint.is_empty()), any(|r| !r.meaning.is_empty()));
     let (nominal, merged) = (any(|r| r.nominal.is_some()), any(|r| !r.merged_with.is_empty()));
+    let remarks = rows.iter().any(|r| remark(r) != Cell::Empty);
     let mut table = Table::new(caption, &["Symbol"]);
     let optional = [("Joint", joint), ("Meaning", meaning), ("Value", true), ("95 % interval", true), ("Unit", true)];
-    let optional = optional.into_iter().chain([("Nominal", nominal), ("Merged with", merged), ("Remark", true)]);
+    let optional = optional.into_iter().chain([("Nominal", nominal), ("Merged with", merged), ("Remark", remarks)]);
     table.columns.extend(optional.filter(|(_, wanted)| *wanted).map(|(title, _)| title.to_owned()));
     for row in rows {
         let (low, high) = row.ci95.unwrap_or((f64::NAN, f64::NAN));
@@ -89,7 +90,7 @@ pub(crate) fn parameter_table(caption: &str, rows: &[ParameterRow]) -> Table {
         add(true, Cell::text(&row.unit));
         add(nominal, Cell::optional(row.nominal));
         add(merged, Cell::Math(row.merged_with.join(", ")));
-        add(true, remark(row));
+        add(remarks, remark(row));
         table.push(cells);
     }
     table
@@ -171,7 +172,7 @@ pub(crate) fn overlay(trace: &TorqueTrace, joint: &JointTrace, after: usize, uni
         name: m.name.as_str(),
         role: model_role(k, after),
         values: m.values.as_slice(),
-        shown: k == after || (k == 0 && joint.models.len() <= 2) || joint.models.len() == 1,
+        shown: k == after || k == 0,
     }));
     Chart::lines(&joint.joint, Axis::new("Time", "s"), Axis::new("Torque", unit), &trace.t_s, &curves).synced(group)
 }

@@ -233,11 +233,8 @@ pub fn diagnosis_report(data: &DiagnosisReportData) -> String {
         Section::new("What is missing", findings::blocks(data, unit, &shading)),
         Section::new("Where the mismatch is", evidence::located(data, unit)),
         Section::new("Proof on held-out recordings", evidence::held_out(data, unit)),
-        Section::new("Residual before and after, over time", evidence::over_time(data, unit, &shading)),
-        Section::new(
-            "Residual before and after, over velocity and angle",
-            evidence::over_variables(data, unit, &shading),
-        ),
+        Section::new("Residual over time", evidence::over_time(data, unit, &shading)),
+        Section::new("Residual over velocity and angle", evidence::over_variables(data, unit, &shading)),
         Section::new("What remains unknown", evidence::unknown(data)),
         Section::new("Tested and left out", evidence::excluded(&data.excluded)),
         Section::new("Next experiment", evidence::next_experiment(data)),

@@ -33,10 +33,17 @@ fn push(out: &mut String, c: char) {
 
 /// Escapes a formula or symbol in plain notation, with `_x` and `^x` set as sub- and superscripts.
 ///
-/// The script runs over the letters and digits that follow, or over a `{…}` group:
-/// `f_v`, `v_s^2`, `m_{p,1}`. Everything else is taken as it stands.
+/// The script runs over the letters and digits that follow, or over a `{…}` group, which may hold further
+/// scripts: `f_v`, `v_s^2`, `m_{p,1}`, `e^{−(θ/v_s)^2}`. Everything else is taken as it stands.
 #[must_use]
 pub fn math(raw: &str) -> String {
+    math_at(raw, 0)
+}
+
+/// Groups nested deeper than this are written as text, so that no input can exhaust the stack.
+const DEEPEST: usize = 4;
+
+fn math_at(raw: &str, depth: usize) -> String {
     let mut out = String::with_capacity(raw.len() + 32);
     let mut chars = raw.chars().peekable();
     while let Some(c) = chars.next() {
@@ -48,20 +55,16 @@ pub fn math(raw: &str) -> String {
                 continue;
             }
         };
-        let mut script = String::new();
-        if chars.peek() == Some(&'{') {
-            chars.next();
-            for inner in chars.by_ref() {
-                if inner == '}' {
-                    break;
-                }
-                push(&mut script, inner);
-            }
+        let script = if chars.next_if_eq(&'{').is_some() {
+            let inner = group(&mut chars);
+            if depth < DEEPEST { math_at(&inner, depth + 1) } else { text(&inner) }
         } else {
+            let mut plain = String::new();
             while let Some(inner) = chars.next_if(|n| n.is_alphanumeric() || matches!(n, '⁺' | '⁻')) {
-                push(&mut script, inner);
+                push(&mut plain, inner);
             }
-        }
+            plain
+        };
         if script.is_empty() {
             push(&mut out, c);
         } else {
@@ -69,6 +72,23 @@ pub fn math(raw: &str) -> String {
         }
     }
     out
+}
+
+/// What stands between a `{` already read and the `}` that closes it (or the end).
+fn group(chars: &mut std::iter::Peekable<std::str::Chars<'_>>) -> String {
+    let (mut inner, mut open) = (String::new(), 1_usize);
+    for c in chars.by_ref() {
+        match c {
+            '{' => open += 1,
+            '}' => open -= 1,
+            _ => {}
+        }
+        if open == 0 {
+            break;
+        }
+        inner.push(c);
+    }
+    inner
 }
 
 /// Makes serialized JSON safe inside a `<script>` element: no character of it can close the element,
@@ -119,10 +139,13 @@ mod tests {
     #[test]
     fn scripts_are_set_and_still_escaped() {
         assert_eq!(math("f_v θ̇"), "f<sub>v</sub> θ̇");
-        assert_eq!(math("e^{-(x/v_s)}"), "e<sup>-(x/v_s)</sup>");
+        assert_eq!(math("e^{-(x/v_s)}"), "e<sup>-(x/v<sub>s</sub>)</sup>");
         assert_eq!(math("a_<b"), "a_&lt;b");
         assert_eq!(math("_{<script>}"), "<sub>&lt;script&gt;</sub>");
         assert_eq!(math("x_{unclosed"), "x<sub>unclosed</sub>");
+        assert_eq!(math("e^{x_{1}^2}+1"), "e<sup>x<sub>1</sub><sup>2</sup></sup>+1");
+        let deep = "_{".repeat(100_000);
+        assert!(math(&deep).len() < 10 * deep.len());
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use crate::blocks::HeatMap;
 use crate::decimate::finite_range;
 use crate::escape::{shortened, text};
-use crate::number::significant;
+use crate::number::{compact, significant};
 use std::fmt::Write as _;
 
 /// Most cells along one side: more cannot be told apart on a screen.
@@ -49,11 +49,11 @@ pub(crate) fn heat_map(map: &HeatMap) -> String {
     };
     let (right, bottom, middle) = (LEFT + WIDTH, TOP + HEIGHT, TOP + HEIGHT / 2.0);
     let axes = [
-        label(LEFT, bottom + 17.0, "start", &significant(map.x_range.0, 3)),
+        label(LEFT, bottom + 17.0, "start", &compact(map.x_range.0)),
         label(LEFT + WIDTH / 2.0, bottom + 17.0, "middle", &map.x_label),
-        label(right, bottom + 17.0, "end", &significant(map.x_range.1, 3)),
-        label(LEFT - 8.0, bottom, "end", &significant(map.y_range.0, 3)),
-        label(LEFT - 8.0, TOP + 10.0, "end", &significant(map.y_range.1, 3)),
+        label(right, bottom + 17.0, "end", &compact(map.x_range.1)),
+        label(LEFT - 8.0, bottom, "end", &compact(map.y_range.0)),
+        label(LEFT - 8.0, TOP + 10.0, "end", &compact(map.y_range.1)),
         format!("<g transform=\"translate(16 {middle}) rotate(-90)\">{}</g>", label(0.0, 0.0, "middle", &map.y_label)),
     ]
     .concat();

@@ -7,6 +7,7 @@ use crate::blocks::{Bars, Block, Cell, Figure, Report, Section, Table};
 use crate::chart::{Chart, MAX_ROWS};
 use crate::escape::{json, math, shortened, text};
 use crate::heat::heat_map;
+use crate::number::{common_decimals, fixed, significant};
 use base64::Engine as _;
 use sha2::{Digest as _, Sha256};
 use std::fmt::Write as _;
@@ -18,8 +19,19 @@ const REPORT_CSS: &str = include_str!("../assets/report.css");
 
 /// Largest file written, in bytes: it has to pass through e-mail and open at once.
 pub const MAX_BYTES: usize = 5_000_000;
-/// Rows per chart, tried in turn until the file is small enough; 0 leaves the charts out.
-const ROW_LIMITS: [usize; 7] = [MAX_ROWS + 2, 4000, 2000, 1000, 400, 150, 0];
+/// Rows per chart and blocks per section, tried in turn until the file is small enough. No rows: charts are
+/// left out; no blocks: the verdict is all that is left.
+const LIMITS: [(usize, usize); 9] = [
+    (MAX_ROWS + 2, usize::MAX),
+    (4000, usize::MAX),
+    (2000, usize::MAX),
+    (1000, usize::MAX),
+    (400, usize::MAX),
+    (150, usize::MAX),
+    (0, usize::MAX),
+    (0, 40),
+    (0, 0),
+];
 /// Characters shown of any one name or cell.
 const LONGEST_CELL: usize = 300;
 /// Characters shown of any one paragraph.
@@ -35,8 +47,8 @@ impl Report {
     #[must_use]
     pub fn to_html(&self) -> String {
         let mut page = String::new();
-        for limit in ROW_LIMITS {
-            page = Writer::new(limit).document(self);
+        for (rows, blocks) in LIMITS {
+            page = Writer::new(rows, blocks).document(self);
             if page.len() < MAX_BYTES {
                 break;
             }
@@ -48,18 +60,19 @@ impl Report {
 /// Collects the charts' data while the markup is written.
 struct Writer {
     row_limit: usize,
+    block_limit: usize,
     specs: Vec<String>,
     tables: usize,
 }
 
 impl Writer {
-    fn new(row_limit: usize) -> Self {
-        Self { row_limit, specs: Vec::new(), tables: 0 }
+    fn new(row_limit: usize, block_limit: usize) -> Self {
+        Self { row_limit, block_limit, specs: Vec::new(), tables: 0 }
     }
 
     fn document(mut self, report: &Report) -> String {
         let mut body = self.header(report);
-        for (index, section) in report.sections.iter().enumerate() {
+        for (index, section) in report.sections.iter().take(LONGEST_LIST).enumerate() {
             self.section(&mut body, index, section);
         }
         let data = json(&format!("[{}]", self.specs.join(",")));
@@ -98,7 +111,7 @@ impl Writer {
         );
         if !report.figures.is_empty() {
             out.push_str("<dl class=\"figures\">\n");
-            for Figure { label, value, note } in &report.figures {
+            for Figure { label, value, note } in report.figures.iter().take(LONGEST_LIST) {
                 let _ = writeln!(
                     out,
                     "<div><dt>{}</dt><dd>{}<small>{}</small></dd></div>",
@@ -111,7 +124,7 @@ impl Writer {
         }
         if !report.facts.is_empty() {
             out.push_str("<dl class=\"facts\">\n");
-            for (label, value) in &report.facts {
+            for (label, value) in report.facts.iter().take(LONGEST_LIST) {
                 let _ = writeln!(out, "<dt>{}</dt><dd>{}</dd>", name(label), prose(value));
             }
             out.push_str("</dl>\n");
@@ -127,7 +140,12 @@ impl Writer {
             name(&section.title),
             n = index + 1
         );
-        self.blocks(out, &section.blocks);
+        let shown = section.blocks.len().min(self.block_limit);
+        self.blocks(out, section.blocks.get(..shown).unwrap_or_default());
+        if shown < section.blocks.len() {
+            let more = section.blocks.len() - shown;
+            let _ = writeln!(out, "<p class=\"note\">{more} more parts left out to keep this file under 5 MB.</p>");
+        }
         out.push_str("</section>\n");
     }
 
@@ -224,10 +242,11 @@ impl Writer {
             let _ = write!(out, "<th scope=\"col\"{class}>{}</th>", math(&shortened(column, LONGEST_CELL)));
         }
         out.push_str("</tr></thead>\n<tbody>\n");
+        let decimals: Vec<Option<usize>> = (0..table.columns.len()).map(|c| table.decimals(c)).collect();
         for row in table.rows.iter().take(Table::ROWS) {
             out.push_str("<tr>");
-            for index in 0..table.columns.len() {
-                cell(out, row.get(index).unwrap_or(&Cell::Empty));
+            for (index, decimals) in decimals.iter().enumerate() {
+                cell(out, row.get(index).unwrap_or(&Cell::Empty), *decimals);
             }
             out.push_str("</tr>\n");
         }
@@ -242,12 +261,25 @@ impl Writer {
 impl Table {
     fn is_numeric(&self, column: usize) -> bool {
         let mut cells = self.rows.iter().filter_map(|r| r.get(column)).filter(|c| **c != Cell::Empty).peekable();
-        cells.peek().is_some() && cells.all(|c| matches!(c, Cell::Number(_) | Cell::Strong(_)))
+        cells.peek().is_some()
+            && cells.all(|c| matches!(c, Cell::Number(_) | Cell::Strong(_) | Cell::Value(_) | Cell::StrongValue(_)))
+    }
+
+    /// Decimals the numbers of a column share; `None` where they are too far apart for one notation.
+    fn decimals(&self, column: usize) -> Option<usize> {
+        let value = |row: &Vec<Cell>| match row.get(column) {
+            Some(Cell::Value(v) | Cell::StrongValue(v)) => Some(*v),
+            _ => None,
+        };
+        common_decimals(self.rows.iter().filter_map(value))
     }
 }
 
-fn cell(out: &mut String, cell: &Cell) {
+fn cell(out: &mut String, cell: &Cell, decimals: Option<usize>) {
+    let written = |v: f64| decimals.map_or_else(|| significant(v, 3), |d| fixed(v, d));
     let _ = match cell {
+        Cell::Value(value) => write!(out, "<td class=\"n\">{}</td>", written(*value)),
+        Cell::StrongValue(value) => write!(out, "<td class=\"n s\">{}</td>", written(*value)),
         Cell::Text(words) => write!(out, "<td>{}</td>", name(words)),
         Cell::Head(words) => write!(out, "<th scope=\"row\">{}</th>", name(words)),
         Cell::Math(formula) => {
@@ -302,7 +334,7 @@ fn list(out: &mut String, items: &[String]) {
 
 fn contents(sections: &[Section]) -> String {
     let mut out = String::from("<nav aria-label=\"Contents\"><ol>\n<li><a href=\"#main\">Verdict</a></li>\n");
-    for (index, section) in sections.iter().enumerate() {
+    for (index, section) in sections.iter().take(LONGEST_LIST).enumerate() {
         let _ = writeln!(out, "<li><a href=\"#s{}\">{}</a></li>", index + 1, name(&section.title));
     }
     out.push_str("</ol></nav>\n");

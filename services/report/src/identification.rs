@@ -7,7 +7,7 @@ use crate::common::{
     residual_over_time, setup_facts, torque_unit,
 };
 use crate::data::{ParameterRow, RepairRow, Setup, TorqueTrace};
-use crate::number::{fixed, percent, significant};
+use crate::number::{percent, significant};
 use serde::{Deserialize, Serialize};
 
 /// All an identification report shows. Empty fields leave their part out.
@@ -166,8 +166,8 @@ pub fn identification_report(data: &IdentificationReportData) -> String {
     let mut sections = vec![Section::new("Warnings", data.warnings.iter().map(Block::caution).collect())];
     sections.push(Section::new("Error on held-out data", held_out(data, unit)));
     sections.push(Section::new("Measured and modelled torque", overlays(data, unit)));
-    sections.push(Section::new("What remains, over time", residuals_over_time(data, unit)));
-    sections.push(Section::new("What remains, over velocity and angle", residuals_over_variables(data, unit)));
+    sections.push(Section::new("Residual over time", residuals_over_time(data, unit)));
+    sections.push(Section::new("Residual over velocity and angle", residuals_over_variables(data, unit)));
     sections.push(Section::new("Parameters", parameters(data)));
     sections.push(Section::new("Error of each model", error_tables(data, unit)));
     sections.push(Section::new("Payload", payload(&data.payload)));
@@ -219,7 +219,7 @@ fn held_out(data: &IdentificationReportData, unit: &str) -> Vec<Block> {
         for row in &data.held_out {
             table.push(vec![
                 Cell::Head(row.joint.clone()),
-                Cell::Strong(significant(row.rms, 3)),
+                Cell::strong(row.rms),
                 Cell::number(row.mean),
                 Cell::number(row.std),
                 Cell::percent(row.relative_error),
@@ -365,9 +365,6 @@ fn payload(traces: &[PayloadTrace]) -> Vec<Block> {
             Chart::lines(&title, Axis::new("Time", "s"), Axis::new("Payload", "kg"), &trace.t_s, &curves)
                 .synced("payload"),
         ));
-        if let Some(last) = trace.estimate_kg.iter().rev().find(|v| v.is_finite()) {
-            blocks.push(Block::text(format!("Last estimate: {} kg.", fixed(*last, 3))));
-        }
     }
     blocks
 }

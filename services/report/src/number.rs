@@ -36,6 +36,30 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     grouped(&with_minus(&plain))
 }
 
+/// A setting as it was given: up to four significant digits, no trailing zeros: `40`, `0.05`, `−0.2`.
+#[must_use]
+pub fn compact(value: f64) -> String {
+    let text = significant(value, 4);
+    if text.contains('×') || !text.contains('.') {
+        return text;
+    }
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// Decimals with which all values of a column can be written: four significant digits for the largest (none
+/// after the point from 100 on), fewer for smaller ones. `None` where no plain notation serves: nothing
+/// finite, or a largest value outside 10⁻³ … 10⁶.
+#[must_use]
+pub fn common_decimals(values: impl IntoIterator<Item = f64>) -> Option<usize> {
+    let largest = values.into_iter().filter(|v| v.is_finite()).map(f64::abs).fold(0.0, f64::max);
+    if largest == 0.0 {
+        return None;
+    }
+    let (_, exponent) = scientific_parts(largest, 2);
+    let wanted = if exponent >= 2 { 2 - exponent } else { 3 - exponent };
+    (-3..6).contains(&exponent).then(|| usize::try_from(wanted.max(0)).unwrap_or(0))
+}
+
 /// A share as per cent with one decimal: `0.0843` → `8.4 %`.
 #[must_use]
 pub fn percent(share: f64) -> String {
@@ -123,7 +147,7 @@ mod tests {
         for (value, digits, expected) in [
             (0.31234, 3, "0.312"),
             (0.99963, 3, "1.00"),
-            (-3.14159, 2, "−3.1"),
+            (-3.12345, 2, "−3.1"),
             (123.4, 3, "123"),
             (12_345.6, 3, "12\u{202f}346"),
             (1.23e-9, 2, "1.2 × 10⁻⁹"),
@@ -143,7 +167,17 @@ mod tests {
         assert_eq!(with_interval(12.3456, 10.0, 14.0), ("12.3".into(), "10.0 to 14.0".into()));
         assert_eq!(with_interval(1.0, f64::NAN, 2.0), ("1.000".into(), MISSING.into()));
         assert_eq!(with_interval(-0.0001, -0.02, 0.02), ("0.000".into(), "−0.020 to 0.020".into()));
-        assert_eq!(with_interval(0.0, 0.0, 0.0).0, "0.000000000");
+        assert_eq!(with_interval(0.0, 0.0, 0.0).0, "0.0");
+    }
+
+    #[test]
+    fn a_column_shares_its_decimals_and_settings_lose_their_zeros() {
+        assert_eq!(common_decimals([0.0713, 0.282, f64::NAN]), Some(4));
+        assert_eq!(common_decimals([412.0, 37.2]), Some(0));
+        assert_eq!(common_decimals([f64::INFINITY, 0.0]), None);
+        assert_eq!(common_decimals([1e-9]), None);
+        assert_eq!((compact(40.0), compact(0.05), compact(-0.2)), ("40".into(), "0.05".into(), "−0.2".into()));
+        assert_eq!(compact(100.0), "100");
     }
 
     #[test]
@@ -161,7 +195,7 @@ mod tests {
             prop_assume!(!text.contains('×'));
             let back: f64 = text.replace('\u{2212}', "-").replace('\u{202f}', "").parse().expect("a plain number");
             let scale = 10_f64.powf(value.abs().max(1e-300).log10().floor() - digits as f64 + 1.0);
-            prop_assert!((back - value).abs() <= 0.51 * scale.max(1e-12).min(1.0), "{value} printed as {text}");
+            prop_assert!((back - value).abs() <= 0.51 * scale.clamp(1e-12, 1.0), "{value} printed as {text}");
         }
     }
 }

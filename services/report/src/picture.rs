@@ -17,12 +17,12 @@ const POINTS: usize = 420;
 
 const STYLE: &str = "<style>\
 text{font-family:system-ui,-apple-system,'Segoe UI',Roboto,Helvetica,Arial,'DejaVu Sans',sans-serif;font-size:12px;fill:#57606a}\
-.t{font-size:15px;font-weight:600;fill:#1b1f24}.h{font-size:13px;font-weight:600;fill:#1b1f24}.b{font-weight:600;fill:#1b1f24}\
+.t{font-size:15px;font-weight:600;fill:#1b1f24}.h{font-size:13px;font-weight:600;fill:#1b1f24}.b{font-weight:600;fill:#1b1f24}.o{paint-order:stroke;stroke:#fff;stroke-width:4px;stroke-linejoin:round}\
 .bg{fill:#fff}.grid{stroke:#eaeef2}.zero{stroke:#afb8c1}.frame{stroke:#d8dee4;fill:none}\
 .meas{stroke:#8c959f;stroke-width:2.4}.c0{stroke:#c2410c}.c1{stroke:#b07d00}.c2{stroke:#0b5cad}.c3{stroke:#7c3aed}\
 .f0{fill:#c2410c}.f1{fill:#b07d00}.f2{fill:#0b5cad}.f3{fill:#7c3aed}\
 .meas,.c0,.c1,.c2,.c3{fill:none;stroke-linejoin:round}\
-@media (prefers-color-scheme:dark){text{fill:#9aa4af}.t,.h,.b{fill:#e6edf3}.bg{fill:#0f1419}.grid{stroke:#222a32}.zero{stroke:#4a545f}.frame{stroke:#2b333c}\
+@media (prefers-color-scheme:dark){text{fill:#9aa4af}.t,.h,.b{fill:#e6edf3}.bg{fill:#0f1419}.o{stroke:#0f1419}.grid{stroke:#222a32}.zero{stroke:#4a545f}.frame{stroke:#2b333c}\
 .meas{stroke:#7d8894}.c0{stroke:#f2853d}.c1{stroke:#d9b13a}.c2{stroke:#5aa9ff}.c3{stroke:#b794f6}\
 .f0{fill:#f2853d}.f1{fill:#d9b13a}.f2{fill:#5aa9ff}.f3{fill:#b794f6}}\
 </style>";
@@ -64,7 +64,9 @@ pub fn overlay_svg(picture: &OverlayPicture<'_>) -> String {
         let measured = pick(&joint.measured, &inside);
         let models: Vec<Vec<f64>> = joint.models.iter().take(columns).map(|m| pick(&m.values, &inside)).collect();
         let all = models.iter().flatten().chain(&measured);
-        let Some(y_range) = finite_range(all).map(padded) else { continue };
+        let Some(y_range) = finite_range(all).map(padded).map(|(low, high)| (low, high + 0.14 * (high - low))) else {
+            continue;
+        };
         let _ = write!(
             out,
             "<g transform=\"translate(15 {:.1}) rotate(-90)\"><text text-anchor=\"middle\"><tspan class=\"b\">{}</tspan> [{}]</text></g>",
@@ -90,7 +92,7 @@ pub fn overlay_svg(picture: &OverlayPicture<'_>) -> String {
             );
             let _ = write!(
                 out,
-                "<text class=\"b\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">σ {} {}</text>",
+                "<text class=\"b o\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">σ {} {}</text>",
                 frame.left + panel_w - 6.0,
                 top + 15.0,
                 significant(deviation(&measured, model), 3),

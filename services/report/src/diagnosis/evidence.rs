@@ -7,7 +7,7 @@ use crate::chart::{Axis, Chart, Curve, Role};
 use crate::common::{Shading, joint_names, residual_over, residual_over_time, variable_names};
 use crate::data::TorqueTrace;
 use crate::identification::per_recording;
-use crate::number::{fixed, percent, significant, with_interval};
+use crate::number::{fixed, percent, with_interval};
 
 /// What is shaded in the charts: the located regions, and the findings' own where they name some.
 pub(super) fn shading(data: &DiagnosisReportData) -> Vec<Shading> {
@@ -119,7 +119,7 @@ pub(super) fn held_out(data: &DiagnosisReportData, unit: &str) -> Vec<Block> {
             table.push(vec![
                 Cell::Head(row.joint.clone()),
                 Cell::number(row.off_rad),
-                Cell::Strong(significant(row.on_rad, 3)),
+                Cell::strong(row.on_rad),
                 Cell::percent(change),
             ]);
         }

@@ -4,7 +4,7 @@ use super::{DiagnosisReportData, Finding, Gain};
 use crate::blocks::{Bar, Bars, Block, Cell, Table, Tone};
 use crate::chart::{Chart, Role};
 use crate::common::{Shading, parameter_table, residual_over, variable_words};
-use crate::number::{percent, significant};
+use crate::number::{compact, percent, significant};
 
 /// The cards, or the statement that there is nothing to name.
 pub(super) fn blocks(data: &DiagnosisReportData, unit: &str, shading: &[Shading]) -> Vec<Block> {
@@ -121,7 +121,7 @@ fn charts(data: &DiagnosisReportData, finding: &Finding, unit: &str, shading: &[
 /// A region in words: "velocity −0.2 to 0.2 rad/s".
 pub(super) fn region_words(region: &super::Region) -> String {
     let (label, unit) = variable_words(&region.variable);
-    let edge = |v: f64, open: &str| if v.is_finite() { significant(v, 3) } else { open.to_owned() };
+    let edge = |v: f64, open: &str| if v.is_finite() { compact(v) } else { open.to_owned() };
     let words = format!("{label} {} to {} {unit}", edge(region.low, "lowest"), edge(region.high, "highest"));
     words.trim_end().to_owned()
 }

@@ -10,6 +10,7 @@
 //! Units are SI; a prismatic joint's "angle" is in metres and its "torque" in newtons.
 
 pub mod delta;
+pub mod effects;
 pub mod rigid_body;
 pub mod serial;
 

@@ -1,0 +1,232 @@
+//! A spring between motor and link, with or without a gap: the shared part of elasticity and backlash.
+//!
+//! ```text
+//! e = θ − q_link             deflection
+//! M ë + T(e, ė) = F          link's equation, F = τ_link(θ − e, θ̇ − ė, θ̈)
+//! T = k (e − b sgn e) + d ė  while abs e > b, else 0;   d = 2 ζ √(k M_ii)
+//! Δτ = F − M ë − τ_link      what the motors feel of it, at the joints beside the soft ones too
+//! ```
+//!
+//! | symbol | meaning | unit |
+//! |---|---|---|
+//! | θ, q_link | motor angle at the joint side (what the encoder measures), link angle | rad |
+//! | τ_link | torque of the link side if nothing gave way | Nm |
+//! | M | link-side inertia matrix at the link's pose, motors held | kg m² |
+//! | k, b, ζ | stiffness, half gap, damping ratio | Nm/rad, rad, 1 |
+//!
+//! F is evaluated where the link is, so gravity's change with the deflection is in it. The equation is
+//! integrated by Newmark's average acceleration (β = 1/4, γ = 1/2: stable for any stiffness, second order) in
+//! at least eight sub-steps a sample. At rest e follows from the static load.
+//!
+//! Feed it a motion free of noise (commanded or re-simulated): second derivatives of a measured angle shake
+//! the spring with the encoder's noise. Reference: Spong 1987, J. Dyn. Syst. Meas. Control 109, 310-319.
+
+use super::context::Mechanics;
+use super::effect::Request;
+use super::kernel::{ColumnSink, EffectSample, Kernel};
+use lacuna_interfaces::{Joints, MAX_JOINTS};
+
+/// Fewest sub-steps a sample.
+const SUBSTEPS: f64 = 8.0;
+/// Most sub-steps a sample.
+const MOST_SUBSTEPS: f64 = 64.0;
+/// Longest sub-step wanted [s].
+const SUBSTEP_S: f64 = 1.25e-4;
+/// A pause longer than this starts the link anew at its static deflection [s].
+const LONGEST_STEP_S: f64 = 0.1;
+
+type Matrix = [[f64; MAX_JOINTS]; MAX_JOINTS];
+
+/// Deflections of the soft joints; index = position in the list of soft joints.
+#[derive(Debug, Clone, Copy, Default)]
+struct State {
+    e: Joints,
+    v: Joints,
+    a: Joints,
+    force: Joints,
+}
+
+/// The link behind springs at some joints.
+#[derive(Debug)]
+pub(super) struct Compliance {
+    soft: Vec<usize>,
+    mechanics: Mechanics,
+    weightless: Mechanics,
+    pi: Vec<f64>,
+    k: f64,
+    zeta: f64,
+    gap: f64,
+    state: Option<State>,
+}
+
+impl Compliance {
+    /// Springs of stiffness `k` [Nm/rad], damping ratio `zeta` and half gap `gap` [rad] at the joints asked for.
+    pub(super) fn new(request: &Request<'_>, k: f64, zeta: f64, gap: f64) -> Self {
+        Self {
+            soft: request.joints.iter().copied().filter(|&j| j < MAX_JOINTS).collect(),
+            mechanics: request.context.mechanics(),
+            weightless: request.context.mechanics_under([0.0; 3]),
+            pi: request.context.pi_link(),
+            k,
+            zeta,
+            gap,
+            state: None,
+        }
+    }
+
+    /// Column `s`: torques of all joints per unit of acceleration of soft joint `s`.
+    fn inertia(&self, q: &Joints) -> Option<Matrix> {
+        let mut m = [[0.0; MAX_JOINTS]; MAX_JOINTS];
+        for (column, &j) in m.iter_mut().zip(&self.soft) {
+            let mut unit = [0.0; MAX_JOINTS];
+            unit[j] = 1.0;
+            *column = self.weightless.torque(q, &[0.0; MAX_JOINTS], &unit, &self.pi)?;
+            if column[j].is_nan() || column[j] <= 0.0 {
+                return None;
+            }
+        }
+        Some(m)
+    }
+
+    /// Link torque where the link is, other link-side loads included.
+    fn force(&self, s: &EffectSample<'_>, state: &State, extra: &Joints) -> Option<Joints> {
+        let (mut q, mut qd) = (*s.q_rad, *s.qd_rad_s);
+        for (i, &j) in self.soft.iter().enumerate() {
+            q[j] -= state.e[i];
+            qd[j] -= state.v[i];
+        }
+        let mut f = self.mechanics.torque(&q, &qd, s.qdd_rad_s2, &self.pi)?;
+        f.iter_mut().zip(extra).for_each(|(f, x)| *f += x);
+        Some(f)
+    }
+
+    /// Deflection under a load that has acted for ever.
+    fn at_rest(&self, load: &Joints) -> State {
+        let mut state = State::default();
+        for (i, &j) in self.soft.iter().enumerate() {
+            let side = if load[j] == 0.0 { 0.0 } else { load[j].signum() };
+            state.e[i] = self.gap * side + load[j] / self.k;
+            state.force[i] = load[j];
+        }
+        state
+    }
+
+    /// The state `dt` later, the load going straight from `from.force` to `load`.
+    fn advance(&self, from: &State, m: &Matrix, load: &Joints, dt: f64) -> Option<State> {
+        let steps = (dt / SUBSTEP_S).ceil().clamp(SUBSTEPS, MOST_SUBSTEPS);
+        let h = dt / steps;
+        let mut state = *from;
+        for step in 1..=steps as u32 {
+            let share = f64::from(step) / steps;
+            let mut force = [0.0; MAX_JOINTS];
+            for (i, &j) in self.soft.iter().enumerate() {
+                force[i] = from.force[i] + share * (load[j] - from.force[i]);
+            }
+            state = self.substep(&state, m, &force, h)?;
+        }
+        Some(state)
+    }
+
+    /// One Newmark step. Which flanks touch is not known before it: iterated until it fits.
+    fn substep(&self, from: &State, m: &Matrix, force: &Joints, h: f64) -> Option<State> {
+        let n = self.soft.len();
+        let (e_p, v_p): (Joints, Joints) = (
+            std::array::from_fn(|i| from.e[i] + h * from.v[i] + 0.25 * h * h * from.a[i]),
+            std::array::from_fn(|i| from.v[i] + 0.5 * h * from.a[i]),
+        );
+        let mut flank = self.flanks(&from.e);
+        let mut next = State { force: *force, ..State::default() };
+        for _ in 0..4 {
+            let mut a = [[0.0; MAX_JOINTS]; MAX_JOINTS];
+            let mut rhs = *force;
+            for (i, &j) in self.soft.iter().enumerate() {
+                for c in 0..n {
+                    a[i][c] = m[c][j];
+                }
+                if flank[i] != 0.0 || self.gap == 0.0 {
+                    let d = 2.0 * self.zeta * (self.k * m[i][j]).sqrt();
+                    a[i][i] += 0.5 * h * d + 0.25 * h * h * self.k;
+                    rhs[i] -= d * v_p[i] + self.k * (e_p[i] - self.gap * flank[i]);
+                }
+            }
+            next.a = solve(&mut a, rhs, n)?;
+            for i in 0..n {
+                next.e[i] = e_p[i] + 0.25 * h * h * next.a[i];
+                next.v[i] = v_p[i] + 0.5 * h * next.a[i];
+            }
+            let touching = self.flanks(&next.e);
+            if touching == flank {
+                break;
+            }
+            flank = touching;
+        }
+        next.e[..n].iter().chain(&next.v[..n]).all(|x| x.is_finite()).then_some(next)
+    }
+
+    /// Which flank touches: the sign of e, 0 inside the gap.
+    fn flanks(&self, e: &Joints) -> Joints {
+        e.map(|e| if e.abs() > self.gap { e.signum() } else { 0.0 })
+    }
+
+    fn step(&mut self, s: &EffectSample<'_>) -> Option<Joints> {
+        let stiff = self.mechanics.torque(s.q_rad, s.qd_rad_s, s.qdd_rad_s2, &self.pi)?;
+        let extra: Joints = std::array::from_fn(|j| s.tau_link_nm[j] - stiff[j]);
+        let moving = s.dt_s > 0.0 && s.dt_s <= LONGEST_STEP_S;
+        let from = self.state.take().filter(|_| moving);
+        let mut q_link = *s.q_rad;
+        for (i, &j) in self.soft.iter().enumerate() {
+            q_link[j] -= from.map_or(0.0, |from| from.e[i]);
+        }
+        let m = self.inertia(&q_link)?;
+        let mut state = from.unwrap_or_else(|| self.at_rest(s.tau_link_nm));
+        let mut load = *s.tau_link_nm;
+        // The load depends on where the link gets to: once from the old place, once from the new.
+        for _ in 0..2 {
+            load = self.force(s, &state, &extra)?;
+            state = match &from {
+                Some(from) => self.advance(from, &m, &load, s.dt_s)?,
+                None => self.at_rest(&load),
+            };
+        }
+        self.state = Some(state);
+        Some(std::array::from_fn(|j| {
+            let inertial: f64 = m.iter().zip(&state.a).map(|(column, a)| column[j] * a).sum();
+            load[j] - inertial - s.tau_link_nm[j]
+        }))
+    }
+}
+
+impl Kernel for Compliance {
+    fn reset(&mut self) {
+        self.state = None;
+    }
+
+    fn columns(&mut self, sample: &EffectSample<'_>, sink: &mut ColumnSink<'_>) {
+        if let Some(tau) = self.step(sample) {
+            sink.set_all(0, &tau);
+        }
+    }
+}
+
+/// Solves the first `n` rows of A x = b for a positive definite A by elimination; `None` if it is not.
+fn solve(a: &mut Matrix, mut b: Joints, n: usize) -> Option<Joints> {
+    for i in 0..n {
+        let pivot = a[i][i];
+        if pivot.is_nan() || pivot <= 0.0 {
+            return None;
+        }
+        for r in i + 1..n {
+            let f = a[r][i] / pivot;
+            for c in i..n {
+                a[r][c] -= f * a[i][c];
+            }
+            b[r] -= f * b[i];
+        }
+    }
+    for i in (0..n).rev() {
+        let known: f64 = (i + 1..n).map(|c| a[i][c] * b[c]).sum();
+        b[i] = (b[i] - known) / a[i][i];
+    }
+    b[n..].fill(0.0);
+    Some(b)
+}

@@ -2,9 +2,16 @@
 
 use lacuna_estimation::kalman::{FixedLag, Lag, MotionModel, Noise, Settings, estimate_noise};
 use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::cell::Cell;
 
-static COUNT: AtomicUsize = AtomicUsize::new(0);
+thread_local! {
+    // Per thread: the test harness allocates on its own.
+    static COUNT: Cell<usize> = const { Cell::new(0) };
+}
+
+fn count() -> usize {
+    COUNT.with(Cell::get)
+}
 
 struct Counting;
 
@@ -12,7 +19,7 @@ struct Counting;
 // SAFETY: every call is passed to the system allocator unchanged.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        COUNT.fetch_add(1, Ordering::Relaxed);
+        COUNT.with(|c| c.set(c.get() + 1));
         // SAFETY: the caller's promise about `layout` is passed on.
         unsafe { System.alloc(layout) }
     }
@@ -35,7 +42,7 @@ fn fixed_lag_smoother_and_noise_estimate() {
         let finer = Settings { noise: vec![other, noise, Noise { process: 1.0, ..noise }], ..settings.clone() };
         let mut stream = FixedLag::new(&settings, Lag::Samples(25)).unwrap();
         let (mut stamp, mut sum, mut emitted) = (0i64, 0.0, 0usize);
-        let before = COUNT.load(Ordering::Relaxed);
+        let before = count();
         for k in 0..20_000i64 {
             // Regular, jittered and regular again, with gaps; then other noise.
             stamp += match k {
@@ -54,15 +61,15 @@ fn fixed_lag_smoother_and_noise_estimate() {
             stream.push(stamp, &[q, 0.5 * q, -q], &mut emit);
         }
         stream.finish(&mut |_| emitted += 1);
-        assert_eq!(COUNT.load(Ordering::Relaxed), before, "allocations on the stream");
+        assert_eq!(count(), before, "allocations on the stream");
         assert_eq!(emitted, 20_000);
         assert!(sum.is_finite());
 
         let t: Vec<f64> = (0..500).map(|k| f64::from(k) * 1e-3).collect();
         let q: Vec<f64> = t.iter().enumerate().map(|(k, t)| t.sin() + 1e-6 * ((k * 7919) % 101) as f64).collect();
-        let before = COUNT.load(Ordering::Relaxed);
+        let before = count();
         let found = estimate_noise(model, &t, &q, 1e-3, 0.1, None, 1e-9);
-        assert_eq!(COUNT.load(Ordering::Relaxed), before, "allocations of the noise estimate");
+        assert_eq!(count(), before, "allocations of the noise estimate");
         assert!(found.is_ok());
     }
 }

@@ -47,6 +47,20 @@ fn math_at(raw: &str, depth: usize) -> String {
     let mut out = String::with_capacity(raw.len() + 32);
     let mut chars = raw.chars().peekable();
     while let Some(c) = chars.next() {
+        // Many fonts set a combining dot into the letter: a time derivative must not look like its variable.
+        let dots = match chars.peek() {
+            Some('\u{307}') => "·",
+            Some('\u{308}') => "··",
+            _ => "",
+        };
+        if !dots.is_empty() {
+            let mark = chars.next();
+            let mut letter = String::new();
+            push(&mut letter, c);
+            let name: String = letter.chars().chain(mark).collect();
+            out.push_str(&format!("<span class=\"dot\" data-dots=\"{dots}\" aria-label=\"{name}\">{letter}</span>"));
+            continue;
+        }
         let tag = match c {
             '_' => "sub",
             '^' => "sup",
@@ -138,7 +152,8 @@ mod tests {
 
     #[test]
     fn scripts_are_set_and_still_escaped() {
-        assert_eq!(math("f_v θ̇"), "f<sub>v</sub> θ̇");
+        assert_eq!(math("f_v q"), "f<sub>v</sub> q");
+        assert_eq!(math("\"\u{307}"), "<span class=\"dot\" data-dots=\"·\" aria-label=\"&quot;\u{307}\">&quot;</span>");
         assert_eq!(math("e^{-(x/v_s)}"), "e<sup>-(x/v<sub>s</sub>)</sup>");
         assert_eq!(math("a_<b"), "a_&lt;b");
         assert_eq!(math("_{<script>}"), "<sub>&lt;script&gt;</sub>");

@@ -43,7 +43,8 @@ impl Report {
     /// Writes the report as one HTML document of less than [`MAX_BYTES`].
     ///
     /// The same report gives the same bytes. Charts are thinned out evenly where the file would become
-    /// too large, keeping the extremes; a report that is too large even so loses its charts and says it.
+    /// too large, keeping the extremes; a report that is too large even so loses its charts, then the ends of
+    /// its sections, and says so.
     #[must_use]
     pub fn to_html(&self) -> String {
         let mut page = String::new();

@@ -46,18 +46,19 @@ pub fn compact(value: f64) -> String {
     text.trim_end_matches('0').trim_end_matches('.').to_owned()
 }
 
-/// Decimals with which all values of a column can be written: four significant digits for the largest (none
-/// after the point from 100 on), fewer for smaller ones. `None` where no plain notation serves: nothing
+/// Decimals with which all values of a column can be written: two significant digits for the smallest if that
+/// takes no more than four of the largest, and at least three of the largest. `None` where no plain notation serves: nothing
 /// finite, or a largest value outside 10⁻³ … 10⁶.
 #[must_use]
 pub fn common_decimals(values: impl IntoIterator<Item = f64>) -> Option<usize> {
-    let largest = values.into_iter().filter(|v| v.is_finite()).map(f64::abs).fold(0.0, f64::max);
+    let sizes = values.into_iter().map(f64::abs).filter(|v| v.is_finite() && *v > 0.0);
+    let (smallest, largest) = sizes.fold((f64::INFINITY, 0.0), |(a, b), v| (f64::min(a, v), f64::max(b, v)));
     if largest == 0.0 {
         return None;
     }
-    let (_, exponent) = scientific_parts(largest, 2);
-    let wanted = if exponent >= 2 { 2 - exponent } else { 3 - exponent };
-    (-3..6).contains(&exponent).then(|| usize::try_from(wanted.max(0)).unwrap_or(0))
+    let (low, high) = (scientific_parts(smallest, 2).1, scientific_parts(largest, 2).1);
+    let wanted = (1 - low).clamp(2 - high, 3 - high);
+    (-3..6).contains(&high).then(|| usize::try_from(wanted.max(0)).unwrap_or(0))
 }
 
 /// A share as per cent with one decimal: `0.0843` → `8.4 %`.
@@ -172,7 +173,9 @@ mod tests {
 
     #[test]
     fn a_column_shares_its_decimals_and_settings_lose_their_zeros() {
-        assert_eq!(common_decimals([0.0713, 0.282, f64::NAN]), Some(4));
+        assert_eq!(common_decimals([0.0713, 0.282, f64::NAN]), Some(3));
+        assert_eq!(common_decimals([14.32, -1.09, 5.67]), Some(1));
+        assert_eq!(common_decimals([5.0, 0.001]), Some(3));
         assert_eq!(common_decimals([412.0, 37.2]), Some(0));
         assert_eq!(common_decimals([f64::INFINITY, 0.0]), None);
         assert_eq!(common_decimals([1e-9]), None);

@@ -61,44 +61,10 @@ pub fn overlay_svg(picture: &OverlayPicture<'_>) -> String {
     let mut out = open_svg(width, height, picture.title);
     for (r, joint) in joints.iter().enumerate() {
         let top = TOP + r as f64 * (panel_h + GAP);
+        let row = Row { top, width: panel_w, height: panel_h, x: x_range, last: r + 1 == joints.len() };
         let measured = pick(&joint.measured, &inside);
         let models: Vec<Vec<f64>> = joint.models.iter().take(columns).map(|m| pick(&m.values, &inside)).collect();
-        let all = models.iter().flatten().chain(&measured);
-        let Some(y_range) = finite_range(all).map(padded).map(|(low, high)| (low, high + 0.14 * (high - low))) else {
-            continue;
-        };
-        let _ = write!(
-            out,
-            "<g transform=\"translate(15 {:.1}) rotate(-90)\"><text text-anchor=\"middle\"><tspan class=\"b\">{}</tspan> [{}]</text></g>",
-            top + panel_h / 2.0,
-            text(&shortened(&joint.joint, 18)),
-            text(&shortened(picture.torque_unit, 8)),
-        );
-        for (c, model) in models.iter().enumerate() {
-            let frame = Frame {
-                left: LEFT + c as f64 * (panel_w + GAP),
-                top,
-                width: panel_w,
-                height: panel_h,
-                x: x_range,
-                y: y_range,
-            };
-            frame.axes(&mut out, c == 0, r + 1 == joints.len());
-            let _ = write!(
-                out,
-                "<path class=\"meas\" d=\"{}\"/><path class=\"c{c}\" stroke-width=\"1.3\" d=\"{}\"/>",
-                frame.path(&time, &measured),
-                frame.path(&time, model)
-            );
-            let _ = write!(
-                out,
-                "<text class=\"b o\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">σ {} {}</text>",
-                frame.left + panel_w - 6.0,
-                top + 15.0,
-                significant(deviation(&measured, model), 3),
-                text(&shortened(picture.torque_unit, 8))
-            );
-        }
+        row.draw(&mut out, (&joint.joint, picture.torque_unit), &time, &measured, &models);
     }
     headings(&mut out, picture, columns, panel_w);
     let _ = writeln!(
@@ -108,6 +74,45 @@ pub fn overlay_svg(picture: &OverlayPicture<'_>) -> String {
         height - 8.0
     );
     out
+}
+
+/// One joint of an overlay: its panels beside each other.
+struct Row {
+    top: f64,
+    width: f64,
+    height: f64,
+    x: (f64, f64),
+    last: bool,
+}
+
+impl Row {
+    fn draw(&self, out: &mut String, names: (&str, &str), time: &[f64], measured: &[f64], models: &[Vec<f64>]) {
+        let (joint, unit) = (text(&shortened(names.0, 18)), text(&shortened(names.1, 8)));
+        // Head room for the error's label.
+        let roomy = |(low, high): (f64, f64)| (low, high + 0.14 * (high - low));
+        let all = models.iter().flatten().chain(measured);
+        let Some(y) = finite_range(all).map(padded).map(roomy) else { return };
+        let _ = write!(
+            out,
+            "<g transform=\"translate(15 {:.1}) rotate(-90)\"><text text-anchor=\"middle\"><tspan class=\"b\">{joint}</tspan> [{unit}]</text></g>",
+            self.top + self.height / 2.0,
+        );
+        for (c, model) in models.iter().enumerate() {
+            let left = LEFT + c as f64 * (self.width + GAP);
+            let frame = Frame { left, top: self.top, width: self.width, height: self.height, x: self.x, y };
+            frame.axes(out, c == 0, self.last);
+            let _ = write!(
+                out,
+                "<path class=\"meas\" d=\"{}\"/><path class=\"c{c}\" stroke-width=\"1.3\" d=\"{}\"/>\
+                 <text class=\"b o\" x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">σ {} {unit}</text>",
+                frame.path(time, measured),
+                frame.path(time, model),
+                left + self.width - 6.0,
+                self.top + 15.0,
+                significant(deviation(measured, model), 3),
+            );
+        }
+    }
 }
 
 /// Draws mean and standard deviation of each model's error, per joint, as the paper's Fig. 6: a dot at μ,
@@ -131,28 +136,7 @@ pub fn table_picture(table: &ErrorTable, torque_unit: &str) -> String {
         y,
     };
     frame.axes(&mut out, true, false);
-    for (r, (joint, errors)) in table.joints.iter().zip(&table.errors).enumerate() {
-        for (c, &(mean, std)) in errors.iter().take(columns).enumerate() {
-            if !(mean.is_finite() && std.is_finite()) {
-                continue;
-            }
-            let at = frame.px(r as f64 + (c + 1) as f64 / (columns + 1) as f64);
-            let (low, middle, high) = (frame.py(mean - std), frame.py(mean), frame.py(mean + std));
-            let _ = write!(
-                out,
-                "<path class=\"c{c}\" stroke-width=\"2\" d=\"M{at:.1} {low:.1}V{high:.1}M{:.1} {low:.1}h10M{:.1} {high:.1}h10\"/><circle class=\"f{c}\" cx=\"{at:.1}\" cy=\"{middle:.1}\" r=\"4\"/>",
-                at - 5.0,
-                at - 5.0
-            );
-        }
-        let _ = write!(
-            out,
-            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\" class=\"b\">{}</text>",
-            frame.px(r as f64 + 0.5),
-            height - BOTTOM + 20.0,
-            text(&shortened(joint, 18))
-        );
-    }
+    whiskers(&mut out, table, columns, &frame);
     let step = (width - LEFT - RIGHT) / columns as f64;
     for (c, model) in table.models.iter().take(columns).enumerate() {
         let x = LEFT + c as f64 * step;
@@ -171,6 +155,31 @@ pub fn table_picture(table: &ErrorTable, torque_unit: &str) -> String {
         text(&shortened(torque_unit, 8))
     );
     out
+}
+
+fn whiskers(out: &mut String, table: &ErrorTable, columns: usize, frame: &Frame) {
+    for (r, (joint, errors)) in table.joints.iter().zip(&table.errors).enumerate() {
+        for (c, &(mean, std)) in errors.iter().take(columns).enumerate() {
+            if !(mean.is_finite() && std.is_finite()) {
+                continue;
+            }
+            let at = frame.px(r as f64 + (c + 1) as f64 / (columns + 1) as f64);
+            let (low, middle, high) = (frame.py(mean - std), frame.py(mean), frame.py(mean + std));
+            let _ = write!(
+                out,
+                "<path class=\"c{c}\" stroke-width=\"2\" d=\"M{at:.1} {low:.1}V{high:.1}M{:.1} {low:.1}h10M{:.1} {high:.1}h10\"/><circle class=\"f{c}\" cx=\"{at:.1}\" cy=\"{middle:.1}\" r=\"4\"/>",
+                at - 5.0,
+                at - 5.0
+            );
+        }
+        let _ = write!(
+            out,
+            "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\" class=\"b\">{}</text>",
+            frame.px(r as f64 + 0.5),
+            frame.top + frame.height + 20.0,
+            text(&shortened(joint, 18))
+        );
+    }
 }
 
 fn headings(out: &mut String, picture: &OverlayPicture<'_>, columns: usize, panel_w: f64) {

@@ -47,6 +47,7 @@ pub struct Reader {
     conditioner: Conditioner,
     sample: Sample,
     path: PathBuf,
+    bytes: u64,
     seq: u64,
     failed: Option<BadInput>,
 }
@@ -78,7 +79,8 @@ pub fn open_with(path: impl AsRef<Path>, robot: &RobotFile, options: &ReadOption
     let raw = (format.open)(&Request { path: &path, robot, options }).map_err(|e| e.in_file(&path))?;
     let mut sample = Sample::default();
     sample.measured.header.joints = robot.joint_count() as u32;
-    Ok(Reader { raw, conditioner: Conditioner::new(robot), sample, path, seq: 0, failed: None })
+    let bytes = file.metadata().map_or(0, |m| m.len());
+    Ok(Reader { raw, conditioner: Conditioner::new(robot), sample, path, bytes, seq: 0, failed: None })
 }
 
 /// The file itself, or the only MCAP file of a bag folder.
@@ -113,6 +115,11 @@ impl Reader {
     /// What is in the recording.
     pub fn about(&self) -> &About {
         self.raw.about()
+    }
+
+    /// Share of the file that has been read, 0 to 1.
+    pub fn fraction(&self) -> f64 {
+        if self.bytes == 0 { 1.0 } else { (self.raw.bytes_read() as f64 / self.bytes as f64).min(1.0) }
     }
 
     /// The file that is read.

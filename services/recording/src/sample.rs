@@ -41,6 +41,9 @@ pub trait RawReader: Send {
     /// Adds the place of the sample returned last to an error.
     fn locate(&self, error: BadInput) -> BadInput;
 
+    /// Bytes of the file used so far, for progress.
+    fn bytes_read(&self) -> u64;
+
     /// Repairs that only the format itself can see (a row cut off in mid-write), with empty file names.
     fn repairs(&self) -> Vec<Repair>;
 }

@@ -144,6 +144,22 @@ fn what_cannot_be_used_is_refused_with_its_place() {
 }
 
 #[test]
+fn progress_runs_from_0_to_1() {
+    let (_dir, paths) = files(&motion(20_000));
+    for path in paths {
+        let mut reader = open(&path, &robot()).unwrap();
+        let mut last = 0.0;
+        while reader.next_sample().unwrap().is_some() {
+            let now = reader.fraction();
+            assert!(now >= last && now <= 1.0, "{path:?}: {now} after {last}");
+            last = now;
+        }
+        assert!(last > 0.5, "{path:?}: {last}");
+        assert_eq!(reader.fraction(), 1.0);
+    }
+}
+
+#[test]
 fn an_error_stays() {
     let mut written = motion(10);
     written[5].q_rad[0] = 1e12;

@@ -198,6 +198,13 @@ impl Source {
         }
     }
 
+    /// Share of all recordings that has been read, each counted alike.
+    pub fn fraction(&self) -> f64 {
+        let before = self.next_file.saturating_sub(usize::from(self.open.is_some()));
+        let current = self.open.as_ref().map_or(0.0, |o| o.reader.fraction());
+        (before as f64 + current) / self.config.recording.len().max(1) as f64
+    }
+
     /// Samples handed over so far.
     pub fn count(&self) -> u64 {
         self.seq

@@ -54,6 +54,7 @@ fn several_recordings_become_one_stream() {
     let gaps: Vec<_> = (0..200).filter(|&k| all[k].header.has(flag::GAP)).collect();
     assert_eq!(gaps, [100, 150]);
     assert_eq!(all[107].q_rad[0], 7.0);
+    assert_eq!(source.fraction(), 1.0);
 }
 
 #[test]

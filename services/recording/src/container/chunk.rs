@@ -201,34 +201,65 @@ pub(crate) enum Unpacked {
     Partly(String),
 }
 
-/// Decompresses chunk data into `into`, at most as much as the header claims.
-pub(crate) fn unpack(header: &ChunkHeader, data: &[u8], into: &mut Vec<u8>) -> Result<Unpacked, String> {
-    into.clear();
-    if header.uncompressed > MAX_CHUNK {
-        return Err(format!("claims {} bytes, more than {MAX_CHUNK}", header.uncompressed));
-    }
-    let data = data.get(..header.compressed as usize).unwrap_or(data);
-    let result = match header.compression.as_str() {
-        "" => data.take(header.uncompressed).read_to_end(into),
-        "zstd" => {
-            zstd::stream::read::Decoder::with_buffer(data).and_then(|decoder| fill(decoder, header.uncompressed, into))
+/// Decompresses chunks, keeping what that takes.
+#[derive(Default)]
+pub(crate) struct Unpacker {
+    zstd: Option<zstd::bulk::Decompressor<'static>>,
+}
+
+/// Up to this size a chunk is decompressed in one go, into memory reserved on the header's word [bytes].
+const TRUSTED_SIZE: u64 = 16 << 20;
+
+impl Unpacker {
+    /// Decompresses chunk data into `into`, at most as much as the header claims.
+    pub(crate) fn unpack(&mut self, header: &ChunkHeader, data: &[u8], into: &mut Vec<u8>) -> Result<Unpacked, String> {
+        if header.uncompressed > MAX_CHUNK {
+            return Err(format!("claims {} bytes, more than {MAX_CHUNK}", header.uncompressed));
         }
-        "lz4" => lz4::Decoder::new(data).and_then(|decoder| fill(decoder, header.uncompressed, into)),
-        other => {
-            let other: String = other.chars().take(32).collect();
-            return Err(format!("is compressed with \"{other}\", not with zstd, lz4 or nothing"));
+        let data = data.get(..header.compressed as usize).unwrap_or(data);
+        into.clear();
+        let result = match header.compression.as_str() {
+            "" => data.take(header.uncompressed).read_to_end(into),
+            "zstd" if self.zstd_at_once(header.uncompressed, data, into) => Ok(into.len()),
+            "zstd" => {
+                into.clear();
+                let decoder = zstd::stream::read::Decoder::with_buffer(data);
+                decoder.and_then(|decoder| fill(decoder, header.uncompressed, into))
+            }
+            "lz4" => lz4::Decoder::new(data).and_then(|decoder| fill(decoder, header.uncompressed, into)),
+            other => {
+                let other: String = other.chars().take(32).collect();
+                return Err(format!("is compressed with \"{other}\", not with zstd, lz4 or nothing"));
+            }
+        };
+        match result {
+            Err(e) => Ok(Unpacked::Partly(format!("does not decompress: {e}"))),
+            Ok(_) => Ok(checked(header, into)),
         }
-    };
-    if let Err(e) = result {
-        return Ok(Unpacked::Partly(format!("does not decompress: {e}")));
     }
+
+    /// The usual case, without an allocation; `false` sends a cut, damaged or huge chunk the long way.
+    fn zstd_at_once(&mut self, size: u64, data: &[u8], into: &mut Vec<u8>) -> bool {
+        if self.zstd.is_none() {
+            self.zstd = zstd::bulk::Decompressor::new().ok();
+        }
+        let Some(zstd) = &mut self.zstd else { return false };
+        if size > TRUSTED_SIZE {
+            return false;
+        }
+        into.reserve(size as usize);
+        zstd.decompress_to_buffer(data, into).is_ok_and(|n| n as u64 == size)
+    }
+}
+
+fn checked(header: &ChunkHeader, into: &[u8]) -> Unpacked {
     if into.len() as u64 != header.uncompressed {
-        return Ok(Unpacked::Partly(format!("holds {} bytes, not {}", into.len(), header.uncompressed)));
+        return Unpacked::Partly(format!("holds {} bytes, not {}", into.len(), header.uncompressed));
     }
     if header.crc != 0 && crc32fast::hash(into) != header.crc {
-        return Ok(Unpacked::Partly("does not match its checksum".to_owned()));
+        return Unpacked::Partly("does not match its checksum".to_owned());
     }
-    Ok(Unpacked::Whole)
+    Unpacked::Whole
 }
 
 /// Reads up to `most` bytes in blocks, so that memory follows what is there and not what is claimed.
@@ -264,6 +295,9 @@ mod tests {
             let len = u64::from_le_bytes(out[1..9].try_into().unwrap()) as usize;
             let (header, data) = ChunkHeader::split(&out[9..9 + len]).unwrap();
             let mut back = Vec::new();
+            let mut unpacker = Unpacker::default();
+            let mut unpack =
+                |header: &ChunkHeader, data: &[u8], into: &mut Vec<u8>| unpacker.unpack(header, data, into);
             assert!(matches!(unpack(&header, data, &mut back), Ok(Unpacked::Whole)), "{compression:?}");
             assert_eq!(back, chunk.records);
             assert!(matches!(unpack(&header, &data[..data.len() / 2], &mut back), Ok(Unpacked::Partly(_))));

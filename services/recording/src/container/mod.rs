@@ -8,6 +8,7 @@
 
 mod chunk;
 mod format;
+mod inspect;
 mod recover;
 mod scan;
 mod summary;
@@ -15,6 +16,7 @@ mod writer;
 
 pub use chunk::Compression;
 pub(crate) use format::ChannelRecord;
+pub use inspect::{FileInfo, TopicInfo, inspect};
 pub use recover::{Recovered, recover};
 pub(crate) use scan::{Item, Scan, channels_of};
 pub use writer::{Attachment, Channel, ChannelId, Finished, MessageBatch, WhenFull, WriteError, Writer, WriterOptions};

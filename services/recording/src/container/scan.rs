@@ -1,7 +1,7 @@
 //! Reading an MCAP file front to back, chunk by chunk, within a memory budget and without an index, so that a
 //! file whose end is missing reads as far as it goes.
 
-use super::chunk::{ChunkHeader, MAX_CHUNK, MessageAt, Unpacked, unpack};
+use super::chunk::{ChunkHeader, MAX_CHUNK, MessageAt, Unpacked, Unpacker};
 use super::format::{ChannelRecord, Fields, MESSAGE_HEADER, PREFIX, SchemaRecord};
 use crate::files::open_error;
 use lacuna_interfaces::BadInput;
@@ -34,6 +34,7 @@ pub(crate) struct Scan {
     attachments: bool,
     record: Vec<u8>,
     chunk: Vec<u8>,
+    unpacker: Unpacker,
     /// Next record in `chunk`; `None` between chunks.
     chunk_at: Option<usize>,
     chunk_offset: u64,
@@ -79,6 +80,7 @@ impl Scan {
             attachments,
             record: Vec::new(),
             chunk: Vec::new(),
+            unpacker: Unpacker::default(),
             chunk_at: None,
             chunk_offset: 0,
             chunk_cut: false,
@@ -88,9 +90,9 @@ impl Scan {
         })
     }
 
-    /// Bytes read so far.
+    /// Bytes read so far; the whole file once the data section is through.
     pub(crate) fn position(&self) -> u64 {
-        self.at
+        if self.ended { self.len } else { self.at }
     }
 
     /// True if the file turned out to stop before its proper end. Known once the end is reached.
@@ -109,17 +111,14 @@ impl Scan {
                 Step::Top(opcode) => (opcode, self.record.as_slice()),
                 Step::InChunk(opcode, range) => (opcode, self.chunk.get(range).unwrap_or(&[])),
             };
-            let place = self.place();
+            let place = (self.chunk_at.map(|_| self.chunk_offset), self.at);
             return item(opcode, content).map(Some).ok_or_else(|| {
+                let place = match place {
+                    (Some(chunk), _) => format!("in the chunk at byte {chunk}"),
+                    (None, at) => format!("before byte {at}"),
+                };
                 BadInput::new(format!("{place}: found a record of type {opcode} that is too short for its fields"))
             });
-        }
-    }
-
-    fn place(&self) -> String {
-        match self.chunk_at {
-            Some(_) => format!("in the chunk at byte {}", self.chunk_offset),
-            None => format!("before byte {}", self.at),
         }
     }
 
@@ -224,7 +223,7 @@ impl Scan {
             self.stop_cut();
             return Ok(());
         };
-        match unpack(&header, data, &mut self.chunk) {
+        match self.unpacker.unpack(&header, data, &mut self.chunk) {
             Err(reason) => return Err(self.bad_chunk(&reason)),
             Ok(Unpacked::Partly(reason)) if whole => return Err(self.bad_chunk(&reason)),
             // Of a chunk that is cut off, what decompresses is good.

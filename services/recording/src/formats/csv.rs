@@ -96,6 +96,10 @@ impl<R: Read + Send> RawReader for CsvReader<R> {
         error.at_line(self.lines.line)
     }
 
+    fn bytes_read(&self) -> u64 {
+        self.lines.taken - self.lines.rest.len() as u64
+    }
+
     fn repairs(&self) -> Vec<Repair> {
         let cut = repair(RepairKind::TruncatedTail, "t", self.truncated);
         Vec::from_iter((cut.count > 0).then_some(cut))
@@ -363,6 +367,8 @@ struct Lines<R> {
     buffer: Vec<u8>,
     /// What of the buffer is read and not yet handed out.
     rest: std::ops::Range<usize>,
+    /// Bytes taken from the source.
+    taken: u64,
     /// Number of the line handed out last.
     line: u64,
     /// Whether it ended with a newline.
@@ -373,7 +379,7 @@ const BLOCK: usize = 64 << 10;
 
 impl<R: Read> Lines<R> {
     fn new(source: R) -> Self {
-        Self { source, buffer: vec![0; BLOCK], rest: 0..0, line: 0, terminated: true }
+        Self { source, buffer: vec![0; BLOCK], rest: 0..0, taken: 0, line: 0, terminated: true }
     }
 
     /// The next line that holds more than white space, without its end.
@@ -433,6 +439,7 @@ impl<R: Read> Lines<R> {
             }
         };
         self.rest.end += n;
+        self.taken += n as u64;
         Ok(n)
     }
 }

@@ -241,6 +241,10 @@ impl RawReader for McapReader {
         e_of(self.message, &self.topics.topic, error)
     }
 
+    fn bytes_read(&self) -> u64 {
+        self.scan.position()
+    }
+
     fn repairs(&self) -> Vec<Repair> {
         let cut = repair(RepairKind::TruncatedTail, "t", u64::from(self.scan.was_cut()));
         Vec::from_iter((cut.count > 0).then_some(cut))

@@ -282,7 +282,7 @@ fn figures(data: &DiagnosisReportData) -> Vec<Figure> {
     }
     if let Some(p) = data.significance {
         let label = "Chance of this on a sound model";
-        figures.push(figure(label, significant(p, 2), "calibrated on clean recordings".to_owned()));
+        figures.push(figure(label, significant(p, 2), String::new()));
     }
     figures
 }

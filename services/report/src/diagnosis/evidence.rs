@@ -132,7 +132,7 @@ fn black_box_words(after: f64, black_box: f64) -> String {
     let shares = format!("({} against {})", percent(after), percent(black_box));
     if after <= black_box {
         format!(
-            "The named model is at least as good as the black box {shares}: there is nothing left that a flexible function of the same inputs would find."
+            "The named model is at least as good as the black box {shares}. A flexible function of the same inputs found nothing more."
         )
     } else {
         format!("The black box is better {shares}: something systematic is left that the named terms do not describe.")

@@ -50,10 +50,7 @@ fn card(data: &DiagnosisReportData, finding: &Finding, unit: &str, shading: &[Sh
         blocks.push(Block::Charts(charts));
     }
     if finding.status == "group" && finding.group.len() > 1 {
-        let words = format!(
-            "These signals cannot tell apart: {}. Any of them fits equally well; the torque they add is the same.",
-            finding.group.join(", ")
-        );
+        let words = format!("These signals cannot tell apart: {}.", finding.group.join(", "));
         blocks.push(Block::Notice { tone: Tone::Neutral, text: words });
     }
     if !finding.alternatives.is_empty() {

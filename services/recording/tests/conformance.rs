@@ -93,6 +93,17 @@ fn times_since_1970_keep_their_nanoseconds() {
 }
 
 #[test]
+fn times_before_zero_come_back() {
+    let written: Vec<_> = (-300..100).map(|k| sample(k * 1_000_000 + 1, 0.1, 0.2)).collect();
+    let (_dir, paths) = files(&written);
+    for path in paths {
+        let (samples, ..) = read(&path).unwrap();
+        assert_eq!(samples.len(), 400);
+        assert!(samples.iter().zip(&written).all(|(a, b)| a.header.stamp_ns == b.header.stamp_ns), "{path:?}");
+    }
+}
+
+#[test]
 fn repairs_are_made_flagged_and_counted_alike() {
     let mut written = motion(100);
     written.insert(51, written[50]);

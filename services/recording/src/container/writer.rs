@@ -5,22 +5,18 @@
 //! flush interval the thread takes it as it is. So at any moment the file is a sequence of whole records, and
 //! only the end mark and the index are missing; these are written by [`Writer::finish`].
 
-use super::chunk::{Chunk, Compression, MessageAt, Packer};
-use super::format::{
-    AttachmentFields, ChannelRecord, Fields, attachment_content, put_channel, put_header, put_map, put_record,
-    put_schema, put_str,
-};
-use super::summary::{self, Totals};
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError};
+use super::back::{Back, Front, Job, lock};
+use super::chunk::{Compression, MessageAt};
+use super::format::{ChannelRecord, attachment_content, put_channel, put_map, put_schema, put_str};
+use crossbeam_channel::TryRecvError;
 use lacuna_interfaces::BadInput;
-use mcap::records::op;
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// What happens when the disk is slower than the messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -134,31 +130,6 @@ pub struct Finished {
     pub bytes: u64,
 }
 
-/// Work for the thread.
-enum Job {
-    Chunk(Chunk),
-    /// Schema and channel records, to be repeated in the summary.
-    Declare {
-        schema: Option<Vec<u8>>,
-        channel: Vec<u8>,
-    },
-    /// Content of an attachment record.
-    Attach(Vec<u8>),
-    /// Content of a metadata record.
-    Metadata(Vec<u8>),
-    Finish,
-}
-
-/// What caller and thread share: the chunk being filled and the way out for it.
-struct Front {
-    chunk: Chunk,
-    jobs: Sender<Job>,
-    empty: Receiver<Chunk>,
-    chunk_bytes: usize,
-    when_full: WhenFull,
-    dropped: u64,
-}
-
 /// Writes one MCAP file.
 pub struct Writer {
     path: PathBuf,
@@ -174,12 +145,6 @@ impl std::fmt::Debug for Writer {
     }
 }
 
-fn lock(front: &Mutex<Front>) -> MutexGuard<'_, Front> {
-    // Nothing between lock and unlock leaves the chunk half-changed except a panic in the caller's filler;
-    // even then a chunk of whole records before it is worth writing.
-    front.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 impl Writer {
     /// Creates the file and writes its header.
     ///
@@ -189,45 +154,15 @@ impl Writer {
         let path = path.as_ref().to_path_buf();
         let file = create_file(&path, options.overwrite)?;
         let io = |action, source| WriteError::Io { path: path.clone(), action, source };
-        let packer = Packer::new(options.compression, options.level).map_err(|e| io("compressed", e))?;
-        let queue = options.queue_chunks.clamp(1, 4096);
-        // One chunk is being filled, `queue` wait or are being written: the pool is what bounds the queue, and the
-        // job channel holds all of them and a few declarations besides.
-        let (jobs, job_queue) = crossbeam_channel::bounded(queue + 8);
-        let (give_back, empty) = crossbeam_channel::bounded(queue + 1);
-        for _ in 0..queue {
-            let _ = give_back.try_send(Chunk::with_capacity(options.chunk_bytes + (64 << 10), 16));
-        }
-        let front = Arc::new(Mutex::new(Front {
-            chunk: Chunk::with_capacity(options.chunk_bytes + (64 << 10), 16),
-            jobs,
-            empty,
-            chunk_bytes: options.chunk_bytes.max(1),
-            when_full: options.when_full,
-            dropped: 0,
-        }));
         let readable = File::open(&path).map_err(|e| io("read back", e))?;
-        let mut back = Back {
-            path: path.clone(),
-            file,
-            readable,
-            at: 0,
-            crc: crc32fast::Hasher::new(),
-            out: Vec::new(),
-            packer,
-            totals: Totals::default(),
-            sync: options.sync,
-            synced: Instant::now(),
-            synced_to: 0,
-            give_back,
-        };
-        put_header(&mut back.out, profile);
-        back.write_out()?;
+        let (front, pool) = Front::new(options);
+        let back = Back::start(path.clone(), (file, readable), profile, options, pool.give_back)?;
+        let front = Arc::new(Mutex::new(front));
         let shared = Arc::clone(&front);
         let flush = options.flush.max(Duration::from_millis(1));
         let thread = std::thread::Builder::new()
             .name("mcap-writer".to_owned())
-            .spawn(move || back.run(&job_queue, &shared, flush))
+            .spawn(move || back.run(&pool.jobs, &shared, flush))
             .map_err(|e| io("written by a thread of its own", e))?;
         Ok(Self { path, front, thread: Some(thread), schemas: Vec::new(), channels: 0 })
     }
@@ -388,12 +323,6 @@ pub struct MessageBatch<'a> {
     failed: bool,
 }
 
-impl std::fmt::Debug for Front {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Front").field("chunk_bytes", &self.chunk.records.len()).finish_non_exhaustive()
-    }
-}
-
 impl MessageBatch<'_> {
     /// Appends a message whose bytes `fill` writes. Log time and publish time are `time_ns`.
     #[inline]
@@ -441,136 +370,5 @@ impl MessageBatch<'_> {
     #[must_use]
     pub fn end(self) -> bool {
         !self.failed
-    }
-}
-
-/// The thread's side.
-struct Back {
-    path: PathBuf,
-    file: File,
-    /// For reading the chunk headers back at the end.
-    readable: File,
-    at: u64,
-    crc: crc32fast::Hasher,
-    out: Vec<u8>,
-    packer: Packer,
-    totals: Totals,
-    sync: Option<Duration>,
-    synced: Instant,
-    synced_to: u64,
-    give_back: Sender<Chunk>,
-}
-
-impl Back {
-    fn run(mut self, jobs: &Receiver<Job>, front: &Mutex<Front>, flush: Duration) -> Result<Finished, WriteError> {
-        let mut due = Instant::now() + flush;
-        loop {
-            match jobs.recv_deadline(due) {
-                Ok(Job::Finish) => return self.finish(),
-                Ok(job) => self.work(job)?,
-                Err(RecvTimeoutError::Disconnected) => return self.abandon(),
-                Err(RecvTimeoutError::Timeout) => {
-                    // If the caller holds the lock it is writing; then it is its turn, and this one comes back.
-                    let Ok(mut front) = front.try_lock() else {
-                        due = Instant::now() + Duration::from_millis(1);
-                        continue;
-                    };
-                    // Chunks sent before come first.
-                    while let Ok(job) = jobs.try_recv() {
-                        if matches!(job, Job::Finish) {
-                            return self.finish();
-                        }
-                        self.work(job)?;
-                    }
-                    if front.chunk.messages > 0 {
-                        self.chunk(&front.chunk)?;
-                        front.chunk.clear();
-                    }
-                    drop(front);
-                    self.sync_if_due()?;
-                }
-            }
-            due = Instant::now() + flush;
-        }
-    }
-
-    fn work(&mut self, job: Job) -> Result<(), WriteError> {
-        match job {
-            Job::Chunk(mut chunk) => {
-                self.chunk(&chunk)?;
-                chunk.clear();
-                // Nobody takes it back only when the writer is being dropped.
-                let _ = self.give_back.try_send(chunk);
-            }
-            Job::Declare { schema, channel } => {
-                for (record, kept) in [(schema, &mut self.totals.schemas), (Some(channel), &mut self.totals.channels)] {
-                    if let Some(record) = record {
-                        self.out.extend_from_slice(&record);
-                        kept.push(record);
-                    }
-                }
-                self.write_out()?;
-            }
-            Job::Attach(content) => {
-                put_record(&mut self.out, op::ATTACHMENT, |o| o.extend_from_slice(&content));
-                if let Some(fields) = AttachmentFields::parse(&content) {
-                    self.totals.attachments.push(summary::attachment_index(self.at, self.out.len(), &fields));
-                }
-                self.write_out()?;
-            }
-            Job::Metadata(content) => {
-                put_record(&mut self.out, op::METADATA, |o| o.extend_from_slice(&content));
-                let name = Fields::new(&content).text().unwrap_or_default();
-                self.totals.metadata.push(summary::metadata_index(self.at, self.out.len(), &name));
-                self.write_out()?;
-            }
-            Job::Finish => {}
-        }
-        Ok(())
-    }
-
-    fn chunk(&mut self, chunk: &Chunk) -> Result<(), WriteError> {
-        self.packer.append(chunk, &mut self.out).map_err(|e| self.io("compressed", e))?;
-        self.totals.count(chunk, self.at);
-        self.write_out()?;
-        self.sync_if_due()
-    }
-
-    fn sync_if_due(&mut self) -> Result<(), WriteError> {
-        if self.at > self.synced_to && self.sync.is_some_and(|every| self.synced.elapsed() >= every) {
-            self.file.sync_data().map_err(|e| self.io("synced", e))?;
-            self.synced = Instant::now();
-            self.synced_to = self.at;
-        }
-        Ok(())
-    }
-
-    /// One `write` call for all that was gathered.
-    fn write_out(&mut self) -> Result<(), WriteError> {
-        self.file.write_all(&self.out).map_err(|e| self.io("written", e))?;
-        self.crc.update(&self.out);
-        self.at += self.out.len() as u64;
-        self.out.clear();
-        Ok(())
-    }
-
-    fn finish(self) -> Result<Finished, WriteError> {
-        let crc = self.crc.clone().finalize();
-        let written = summary::write(&self.file, &self.readable, self.at, crc, &self.totals);
-        let bytes = written.map_err(|e| self.io("completed", e))?;
-        if self.sync.is_some() {
-            self.file.sync_all().map_err(|e| self.io("synced", e))?;
-        }
-        let messages = self.totals.messages.iter().map(|(&c, &n)| (ChannelId(c), n)).collect();
-        Ok(Finished { messages, dropped: 0, times: self.totals.times, bytes })
-    }
-
-    fn abandon(mut self) -> Result<Finished, WriteError> {
-        self.write_out()?;
-        Ok(Finished::default())
-    }
-
-    fn io(&self, action: &'static str, source: io::Error) -> WriteError {
-        WriteError::Io { path: self.path.clone(), action, source }
     }
 }

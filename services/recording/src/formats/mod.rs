@@ -2,6 +2,7 @@
 
 mod csv;
 mod mcap;
+mod rows;
 
 use crate::ReadOptions;
 use crate::sample::RawReader;

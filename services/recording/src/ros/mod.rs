@@ -2,4 +2,5 @@
 
 pub mod bag;
 pub mod cdr;
+pub(crate) mod joint_state;
 pub mod schema;

@@ -5,7 +5,7 @@ use crate::columns::Term;
 use crate::condition::{Conditioned, Plan};
 use crate::delay::DelayEstimate;
 use crate::evaluate::Tally;
-use crate::fit::Solution;
+use crate::fit::{Solution, Why};
 use crate::identify::{Held, Method, Options, Split, time_ranges};
 use crate::outcome::{
     Conditions, HeldOut, Identification, JointCurves, Merged, NotExcited, Outcome, ParameterRow, ReportData, SCHEMA,
@@ -29,6 +29,7 @@ pub(crate) struct Account<'a> {
     pub(crate) solution: &'a Solution,
     pub(crate) held: &'a Held,
     pub(crate) delay: Option<DelayEstimate>,
+    pub(crate) bristle_rad: &'a [Option<f64>],
     pub(crate) names: &'a [String],
 }
 
@@ -80,6 +81,7 @@ pub(crate) fn account(a: &Account<'_>) -> Result<Outcome, BadInput> {
         rows: a.solution.rows.clone(),
         blocks: a.solution.blocks,
         delay: a.delay,
+        bristle_rad: a.bristle_rad.to_vec(),
         conditioning: a.plan.clone(),
         consistency: None,
         paper: a.held.paper.as_ref().map(|(_, r)| r.clone()),
@@ -102,17 +104,21 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
         .map(|&c| NotExcited { symbol: symbol(c), reason: "no motion of this robot excites it".to_owned(), ci95: None })
         .collect();
     for u in &a.solution.unexcited {
-        let reason = if u.combination.is_empty() {
-            "its column is zero in these recordings".to_owned()
-        } else {
-            let terms: Vec<String> = u
-                .combination
-                .iter()
-                .filter(|(_, k)| k.abs() > 1e-3)
-                .take(4)
-                .map(|(b, k)| format!("{k:+.3} {}", symbol(s.base[*b].column)))
-                .collect();
-            format!("in these recordings its column is a combination of others: {}", terms.join(" "))
+        let terms: Vec<String> = u
+            .combination
+            .iter()
+            .filter(|(_, k)| k.abs() > 1e-3)
+            .take(4)
+            .map(|(b, k)| format!("{k:+.3} {}", symbol(s.base[*b].column)))
+            .collect();
+        let near = if terms.is_empty() { String::new() } else { format!(" (near {})", terms.join(" ")) };
+        let reason = match u.why {
+            Why::Zero => "its column is zero in these recordings".to_owned(),
+            Why::Dependent => format!("in these recordings its column is a combination of others{near}"),
+            Why::Uncertain(sd) => {
+                format!("its interval alone would move the torque by {sd:.1} standard deviations of the torque{near}")
+            }
+            Why::Negative(v) => format!("fitted, this friction is negative ({v:.3e}){near}"),
         };
         rest.push(NotExcited { symbol: symbol(s.base[u.base].column), reason, ci95: None });
     }
@@ -122,7 +128,10 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
         let (value, half) = (a.solution.beta[b], a.solution.half_width(b));
         let ci95 = [value - half, value + half];
         let contribution_nm = contribution(a, b) * value.abs();
-        if !(half < value.abs()) && !(nominal_matters(column.term, base.nominal) && half < base.nominal.abs()) {
+        let rigid = matches!(column.term, Term::Rigid(_)) && base.nominal != 0.0;
+        // An interval that includes zero says nothing, unless there is a nominal value that it is narrower than.
+        let says_something = half < value.abs() || (rigid && half < base.nominal.abs());
+        if !says_something {
             rest.push(NotExcited {
                 symbol: column.symbol.clone(),
                 reason: format!(
@@ -134,7 +143,6 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
             });
             continue;
         }
-        let rigid = matches!(column.term, Term::Rigid(_)) && base.nominal != 0.0;
         let departure = value - base.nominal;
         let beyond = departure.abs() > half && departure.abs() > a.robot.tolerance.mass * base.nominal.abs();
         supported.push(ParameterRow {
@@ -151,10 +159,6 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
         });
     }
     (supported, rest)
-}
-
-fn nominal_matters(term: Term, nominal: f64) -> bool {
-    matches!(term, Term::Rigid(_)) && nominal != 0.0
 }
 
 /// Root mean square of base column `b` over the fitted training rows of the joint where it is largest.

@@ -74,7 +74,7 @@ pub fn estimate(
     let gamma = &inverse * &cross;
     let free = xtx[(p, p)] - cross.dot(&gamma);
     // Below a thousandth of its length the rate is as good as a combination of the other columns.
-    if !(free > 1e-6 * xtx[(p, p)]) {
+    if free.is_nan() || free <= 1e-6 * xtx[(p, p)] {
         return None;
     }
     let score_of = |gram: &Gram, d: f64| {

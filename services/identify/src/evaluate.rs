@@ -81,7 +81,7 @@ impl Tally {
             .joints
             .iter()
             .fold((0.0, 0.0), |(e, t), j| (e + j.scaled_error_squared, t + j.scaled_torque_squared));
-        if !(t > 0.0) {
+        if t.is_nan() || t <= 0.0 {
             return None;
         }
         let each = |f: fn(&JointTally) -> f64| -> Vec<f64> {

@@ -11,6 +11,7 @@
 //! of parameters as plain cluster sums do.
 
 use crate::base::Structure;
+use crate::columns::Term;
 use crate::rows::Rows;
 use lacuna_estimation::EstimationError;
 use lacuna_estimation::least_squares::{BlockSums, Gram, Pivoting, Statistics, accumulate, base_parameters};
@@ -36,13 +37,28 @@ pub struct FitSettings {
     pub standstill: bool,
 }
 
-/// A base column that the data do not support.
+/// A base column that the data do not support; it keeps the robot file's value (friction: 0).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Unexcited {
     /// Index into the base.
     pub base: usize,
-    /// (base, factor): what it is a combination of, in these data; empty if it is zero.
+    /// Why.
+    pub why: Why,
+    /// (base, factor): the combination of fitted columns that it is, or is nearest to, in these data.
     pub combination: Vec<(usize, f64)>,
+}
+
+/// Why a base column was not fitted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Why {
+    /// Its column is zero.
+    Zero,
+    /// Its column is a combination of others.
+    Dependent,
+    /// Fitted, its interval alone would move the torque by this many standard deviations of the torque.
+    Uncertain(f64),
+    /// Fitted, this friction came out negative.
+    Negative(f64),
 }
 
 /// The fitted model.
@@ -147,9 +163,21 @@ pub fn fit(structure: &Structure, rows: &Rows, train: &[bool], settings: FitSett
         huber = settings.robust.then_some(weights);
     }
     let sums = problem.sums(&sigma, huber.as_deref())?;
-    let beta = problem.solve(&sums, &choice)?;
-    problem.reweigh(&beta, &mut sigma, &mut outliers, huber.is_some());
-    problem.finish(sums, choice, beta, Spread { sigma, outliers, count, condition_all })
+    let size = problem.column_size();
+    loop {
+        let beta = problem.solve(&sums, &choice)?;
+        let (covariance, blocks) = problem.jackknife(&sums, &choice)?;
+        let spread = Spread { sigma: sigma.clone(), outliers: outliers.clone(), count: count.clone(), condition_all };
+        let solution = problem.finish(&sums, &choice, (beta, covariance, blocks), spread)?;
+        // Every turn drops a column, so this ends.
+        match problem.unsupported(&solution, &size) {
+            Some((base, why)) => problem.drop_column(&sums, &mut choice, base, why)?,
+            None => {
+                problem.reweigh(&solution.beta, &mut sigma, &mut outliers, huber.is_some());
+                return Ok(Solution { sigma, outliers, ..solution });
+            }
+        }
+    }
 }
 
 struct Spread {
@@ -226,7 +254,7 @@ impl Problem<'_> {
 
     /// Columns that these data excite and tell apart, and the condition number over all columns.
     fn excited(&self, sums: &BlockSums<Gram>) -> Result<(Choice, f64), BadInput> {
-        let total = sums.total().ok_or_else(|| BadInput::new("found no rows to fit; expected a recording in motion"))?;
+        let total = sums.total().ok_or_else(nothing)?;
         // A square root of the Gram matrix has the column dependences of the regressor, to half its digits.
         let eigen = total.xtx().symmetric_eigen();
         let mut root = eigen.eigenvectors.transpose();
@@ -244,8 +272,8 @@ impl Problem<'_> {
             let mut unexcited: Vec<Unexcited> = found
                 .dependent
                 .into_iter()
-                .map(|d| Unexcited { base: d.column, combination: d.combination })
-                .chain(found.zero.into_iter().map(|base| Unexcited { base, combination: Vec::new() }))
+                .map(|d| Unexcited { base: d.column, why: Why::Dependent, combination: d.combination })
+                .chain(found.zero.into_iter().map(|base| Unexcited { base, why: Why::Zero, combination: Vec::new() }))
                 .collect();
             unexcited.sort_by_key(|u| u.base);
             let mut fixed = vec![0.0; nominal.len()];
@@ -257,7 +285,7 @@ impl Problem<'_> {
 
     /// β of the excited columns, the others at the robot file's value.
     fn solve(&self, sums: &BlockSums<Gram>, choice: &Choice) -> Result<DVector<f64>, BadInput> {
-        let total = sums.total().ok_or_else(|| BadInput::new("found no rows to fit; expected a recording in motion"))?;
+        let total = sums.total().ok_or_else(nothing)?;
         solve_chosen(&total, choice)
     }
 
@@ -310,19 +338,79 @@ impl Problem<'_> {
         all
     }
 
-    fn finish(
-        &self,
-        sums: BlockSums<Gram>,
-        choice: Choice,
-        beta: DVector<f64>,
-        spread: Spread,
-    ) -> Result<Solution, BadInput> {
-        let p = beta.len();
-        let total = sums.total().ok_or_else(|| BadInput::new("found no rows to fit; expected a recording in motion"))?;
+    /// Largest root mean square of every base column over a joint's fitted rows, in standard deviations of that
+    /// joint's torque.
+    fn column_size(&self) -> Vec<f64> {
+        let mut size = vec![0.0f64; self.structure.base.len()];
+        for (j, active) in self.structure.active.iter().enumerate() {
+            let scale = self.spread_of_torque(j);
+            let mut sum = vec![0.0; active.len()];
+            let mut count = 0.0;
+            for row in (0..self.rows.len()).filter(|&row| self.used[j][row]) {
+                let entries = &self.rows.joints[j].x[row * active.len()..(row + 1) * active.len()];
+                sum.iter_mut().zip(entries).for_each(|(s, v)| *s += v * v);
+                count += 1.0;
+            }
+            for (&b, s) in active.iter().zip(&sum) {
+                size[b] = size[b].max((s / f64::max(count, 1.0)).sqrt() / scale);
+            }
+        }
+        size
+    }
+
+    /// The fitted column that the data support least, if it is below what a model can use.
+    fn unsupported(&self, solution: &Solution, size: &[f64]) -> Option<(usize, Why)> {
+        let term = |b: usize| self.structure.columns[self.structure.base[b].column].term;
+        let torque = |b: usize| solution.half_width(b) * size[b];
+        // Of a Coulomb level and an offset that only appear together, the offset is the one to go.
+        let preference = |b: usize| if matches!(term(b), Term::Offset(_)) { 3.0 * torque(b) } else { torque(b) };
+        let worst = solution
+            .excited
+            .iter()
+            .filter(|&&b| solution.blocks >= 3 && solution.excited.len() > 1 && torque(b) > 1.0)
+            .max_by(|&&a, &&b| preference(a).total_cmp(&preference(b)));
+        if let Some(&b) = worst {
+            return Some((b, Why::Uncertain(torque(b))));
+        }
+        let friction = |b: usize| matches!(term(b), Term::Viscous(_) | Term::Coulomb(_));
+        let lowest = solution
+            .excited
+            .iter()
+            .filter(|&&b| friction(b) && solution.beta[b] < 0.0)
+            .min_by(|&&a, &&b| (solution.beta[a] * size[a]).total_cmp(&(solution.beta[b] * size[b])));
+        lowest.map(|&b| (b, Why::Negative(solution.beta[b])))
+    }
+
+    /// Takes a column out of the fit and notes what it is nearest to.
+    fn drop_column(&self, sums: &BlockSums<Gram>, choice: &mut Choice, base: usize, why: Why) -> Result<(), BadInput> {
+        choice.excited.retain(|b| *b != base);
+        let total = sums.total().ok_or_else(nothing)?;
+        let xtx = total.xtx();
+        let rest = total.select(&choice.excited).solve()?;
+        let cross = DVector::from_iterator(choice.excited.len(), choice.excited.iter().map(|&b| xtx[(b, base)]));
+        let factors = rest.inverse_gram * cross;
+        let length = xtx[(base, base)].sqrt();
+        let combination = choice
+            .excited
+            .iter()
+            .zip(factors.iter())
+            .filter(|(b, k)| k.abs() * xtx[(**b, **b)].sqrt() > 0.1 * length)
+            .map(|(&b, &k)| (b, k))
+            .collect();
+        choice.fixed[base] = self.structure.base[base].nominal;
+        choice.unexcited.push(Unexcited { base, why, combination });
+        choice.unexcited.sort_by_key(|u| u.base);
+        Ok(())
+    }
+
+    /// Delete-one-block covariance of β and the number of blocks behind it.
+    fn jackknife(&self, sums: &BlockSums<Gram>, choice: &Choice) -> Result<(DMatrix<f64>, usize), BadInput> {
+        let p = self.structure.base.len();
+        let total = sums.total().ok_or_else(nothing)?;
         let filled: Vec<&Gram> = sums.blocks.iter().filter(|b| b.rows() > 0).collect();
         let without: Vec<DVector<f64>> = filled
             .par_iter()
-            .filter_map(|block| total.without(block).ok().and_then(|rest| solve_chosen(&rest, &choice).ok()))
+            .filter_map(|block| total.without(block).ok().and_then(|rest| solve_chosen(&rest, choice).ok()))
             .collect();
         let count = without.len() as f64;
         let mut covariance = DMatrix::zeros(p, p);
@@ -333,21 +421,35 @@ impl Problem<'_> {
                 covariance.ger((count - 1.0) / count, &d, &d, 1.0);
             }
         }
-        let normal = total.select(&choice.excited);
+        Ok((covariance, without.len()))
+    }
+
+    fn finish(
+        &self,
+        sums: &BlockSums<Gram>,
+        choice: &Choice,
+        (beta, covariance, blocks): (DVector<f64>, DMatrix<f64>, usize),
+        spread: Spread,
+    ) -> Result<Solution, BadInput> {
+        let normal = sums.total().ok_or_else(nothing)?.select(&choice.excited);
         Ok(Solution {
             condition: normal.condition(),
             condition_all: spread.condition_all,
             beta,
             covariance,
-            blocks: without.len(),
-            excited: choice.excited,
-            unexcited: choice.unexcited,
+            blocks,
+            excited: choice.excited.clone(),
+            unexcited: choice.unexcited.clone(),
             sigma: spread.sigma,
             outliers: spread.outliers,
             rows: spread.count,
             normal,
         })
     }
+}
+
+fn nothing() -> BadInput {
+    BadInput::new("found no rows to fit; expected a recording in motion")
 }
 
 fn huber_weight(u: f64) -> f64 {

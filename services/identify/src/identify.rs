@@ -2,6 +2,7 @@
 
 use crate::account::{self, Account};
 use crate::base::{Structure, structure};
+use crate::bristle;
 use crate::columns::{Signal, columns};
 use crate::condition::{Conditioned, Conditioning, Plan, condition};
 use crate::delay::{self, Delay, DelayEstimate};
@@ -142,6 +143,7 @@ pub fn identify_recordings(
     let settings = FitSettings { robust: options.robust, standstill: false };
     progress(0.5, "fitting");
     let mut solution = fit(&structure, &data.rows, &split.train, settings)?;
+    let mut widths = data.bristles(&structure, &split.train, &mut solution, settings)?;
     let mut delay = None;
     if options.delay != Delay::Off {
         let undone = data.plan.torque_delay_s;
@@ -152,6 +154,7 @@ pub fn identify_recordings(
             data = Data::new(robot, body, &structure, &recordings, plan, options.block_s)?;
             split = Split::of(&data.rows, options, recordings.len(), ranges, &data.plan)?;
             solution = fit(&structure, &data.rows, &split.train, settings)?;
+            widths = data.bristles(&structure, &split.train, &mut solution, settings)?;
             delay = delay::estimate(&structure, &data.rows, &split.train, &solution, late);
         }
     }
@@ -170,6 +173,7 @@ pub fn identify_recordings(
         solution: &solution,
         held: &held,
         delay,
+        bristle_rad: &widths,
         names: &names,
     })
 }
@@ -297,6 +301,26 @@ impl Data {
             return Err(BadInput::new("found no rows between the ends of the recordings; expected longer recordings"));
         }
         Ok(Self { plan, conditioned, rows })
+    }
+}
+
+impl Data {
+    /// Chooses the joints' bristles and fits again with them.
+    fn bristles(
+        &mut self,
+        structure: &Structure,
+        train: &[bool],
+        solution: &mut Solution,
+        settings: FitSettings,
+    ) -> Result<Vec<Option<f64>>, BadInput> {
+        if !self.plan.bristle {
+            return Ok(vec![None; self.rows.joints.len()]);
+        }
+        let widths = bristle::choose(structure, &self.conditioned, &mut self.rows, train, solution)?;
+        if widths.iter().any(Option::is_some) {
+            *solution = fit(structure, &self.rows, train, settings)?;
+        }
+        Ok(widths)
     }
 }
 

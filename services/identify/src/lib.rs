@@ -9,13 +9,15 @@
 //! |---|---|
 //! | [`condition`] | repair, regular sampling, filters, derivatives, masks (shared with the diagnosis) |
 //! | [`columns`], [`base`], [`rows`] | the linear model, its minimal identifiable set, its filtered rows |
-//! | [`fit`], [`delay`] | weighted robust fit with a covariance for correlated residuals; torque delay |
+//! | [`fit`] | weighted robust fit with a covariance for correlated residuals |
+//! | [`bristle`], [`delay`] | nuisances: Coulomb friction after a reversal, torque delay |
 //! | [`split`], [`evaluate`] | what is held out, and the error there |
 //! | [`paper`] | the founding paper's grid search and averages |
 //! | [`outcome`] | the files and the data of the report |
 
 mod account;
 pub mod base;
+pub mod bristle;
 pub mod columns;
 pub mod condition;
 pub mod delay;

@@ -146,6 +146,8 @@ pub struct Identification {
     /// Delay between torque and position.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub delay: Option<DelayEstimate>,
+    /// Movement over which Coulomb friction builds up after a reversal [rad], per joint; null: at once.
+    pub bristle_rad: Vec<Option<f64>>,
     /// Filters and masks.
     pub conditioning: Plan,
     /// What enforcing physical consistency did, if asked for.

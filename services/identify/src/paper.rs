@@ -261,7 +261,8 @@ fn friction(
         rhs += row * (joint.y[k] - model[k]);
     }
     // Speed and sign nearly proportional, or no motion: the regression has no answer.
-    if !(phi.determinant() > 1e-9 * phi[(0, 0)] * phi[(1, 1)]) {
+    let independent = phi.determinant() / (phi[(0, 0)] * phi[(1, 1)]);
+    if independent.is_nan() || independent < 1e-9 {
         return None;
     }
     let solved = phi.try_inverse()? * rhs;

@@ -52,6 +52,13 @@ pub struct Rows {
     pub period_s: f64,
 }
 
+impl JointRows {
+    /// Column `slot` of `width` active ones.
+    pub fn column(&self, slot: usize, width: usize) -> impl Iterator<Item = f64> + '_ {
+        self.x.iter().skip(slot).step_by(width.max(1)).copied()
+    }
+}
+
 impl Rows {
     /// Number of instants.
     pub fn len(&self) -> usize {
@@ -100,6 +107,21 @@ pub fn rows(
         append(&mut out, part?, *r, index, stretch, piece);
     }
     number_blocks(&mut out, block_s);
+    Ok(out)
+}
+
+/// Filtered direction of sliding of `joint` at every row, by the bristle of index `width`.
+///
+/// # Errors
+/// [`BadInput`] if a stretch is too short to filter, which [`rows`] would have said before.
+pub fn bristle_column(recordings: &[Conditioned], joint: usize, width: usize) -> Result<Vec<f64>, BadInput> {
+    let mut out = Vec::new();
+    for stretch in recordings.iter().flat_map(|r| &r.stretches) {
+        let Some(column) = stretch.bristles.get(joint).and_then(|b| b.get(width)) else { continue };
+        let mut column = column.clone();
+        stretch.band(&mut [&mut column])?;
+        out.extend(stretch.rows().map(|k| column[k]));
+    }
     Ok(out)
 }
 

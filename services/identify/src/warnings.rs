@@ -5,7 +5,7 @@ use crate::columns::Term;
 use crate::condition::{Conditioned, Plan};
 use crate::delay::DelayEstimate;
 use crate::evaluate::Score;
-use crate::fit::Solution;
+use crate::fit::{Solution, Why};
 use crate::rows::Rows;
 use lacuna_interfaces::RobotFile;
 
@@ -106,28 +106,40 @@ fn excitation(f: &Findings<'_>, out: &mut Vec<String>) {
 fn rank(f: &Findings<'_>, out: &mut Vec<String>) {
     let s = f.structure;
     let symbol = |b: usize| s.columns[s.base[b].column].symbol.as_str();
-    let zero: Vec<&str> =
-        f.solution.unexcited.iter().filter(|u| u.combination.is_empty()).map(|u| symbol(u.base)).collect();
-    let merged: Vec<String> = f
-        .solution
-        .unexcited
+    let unexcited = &f.solution.unexcited;
+    let zero: Vec<&str> = unexcited.iter().filter(|u| u.why == Why::Zero).map(|u| symbol(u.base)).collect();
+    let merged: Vec<String> = unexcited
         .iter()
-        .filter(|u| !u.combination.is_empty())
+        .filter(|u| matches!(u.why, Why::Dependent | Why::Uncertain(_)))
         .map(|u| {
             let most = u.combination.iter().max_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
-            format!("{} with {}", symbol(u.base), most.map_or("others", |m| symbol(m.0)))
+            most.map_or_else(|| symbol(u.base).to_owned(), |m| format!("{} (near {})", symbol(u.base), symbol(m.0)))
         })
         .collect();
     if !zero.is_empty() {
-        out.push(format!("rank deficient: {} of {} base parameters are not excited at all: {}", zero.len(), s.base.len(), zero.join(", ")));
+        out.push(format!(
+            "rank deficient: {} of {} base parameters are not excited at all: {}",
+            zero.len(),
+            s.base.len(),
+            zero.join(", ")
+        ));
     }
     if !merged.is_empty() {
         out.push(format!(
-            "collinear columns: these recordings do not tell apart {} (condition number {:.1e} with them, {:.1e} without)",
+            "collinear columns: these recordings do not tell {} from the rest (condition number {:.1e} with, {:.1e} without)",
             merged.join(", "),
             f.solution.condition_all,
             f.solution.condition
         ));
+    }
+    for u in unexcited {
+        if let Why::Negative(v) = u.why {
+            out.push(format!(
+                "{} came out negative ({v:.3e} {}), which no friction is; it is set to 0",
+                symbol(u.base),
+                s.columns[s.base[u.base].column].unit
+            ));
+        }
     }
     if f.solution.condition > 1e3 {
         out.push(format!(

@@ -1,6 +1,7 @@
 //! Which samples say something about the model.
 
 use super::Plan;
+use lacuna_physics::effects::{Direction, DirectionLaw};
 use serde::Serialize;
 
 /// A torque signal that stays at its largest value: the drive's limit, or a clipped measurement.
@@ -21,10 +22,11 @@ const CLIP_RUNS: usize = 3;
 /// How close to the largest value a sample must be, as a share of it.
 const CLIP_BAND: f64 = 1e-3;
 
-/// Looks for a torque limit: at least three runs of at least four samples within 0.1 % of the largest magnitude.
+/// Looks for a torque limit: at least three runs of at least four samples within 0.1 % of the largest magnitude, and
+/// twice as many samples there as in the 0.9 % below. (The peaks of a smooth signal have less than half as many.)
 pub fn saturation(tau: &[f64]) -> Option<Saturation> {
     let level = tau.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
-    if !(level > 0.0 && level.is_finite()) {
+    if level == 0.0 || !level.is_finite() {
         return None;
     }
     let (mut runs, mut samples) = (0, 0);
@@ -32,9 +34,10 @@ pub fn saturation(tau: &[f64]) -> Option<Saturation> {
         runs += 1;
         samples += range.len();
     }
+    let below = tau.iter().filter(|v| (0.99..1.0 - CLIP_BAND).contains(&(v.abs() / level))).count();
     // A signal that hardly changes is always at its largest value.
     let share = samples as f64 / tau.len() as f64;
-    (runs >= CLIP_RUNS && share < 0.5).then_some(Saturation { level, samples, share })
+    (runs >= CLIP_RUNS && share < 0.5 && samples > 2 * below).then_some(Saturation { level, samples, share })
 }
 
 fn runs_at(tau: &[f64], level: f64) -> Vec<std::ops::Range<usize>> {
@@ -106,21 +109,22 @@ fn widened(flags: &[bool], pad: usize) -> Vec<bool> {
     out
 }
 
-/// Sign of the velocity at every `step`-th sample: a ramp below `ramp` [rad/s], averaged over the `step` samples
-/// around, so that a reversal between two working samples counts with its share.
-pub(super) fn mean_sign(velocity: &[f64], ramp: f64, step: usize) -> Vec<f64> {
-    let sign = |v: f64| if ramp > 0.0 { (v / ramp).clamp(-1.0, 1.0) } else if v == 0.0 { 0.0 } else { v.signum() };
+/// Direction of sliding at every `step`-th sample by `law`, averaged over the `step` samples around, so that a reversal
+/// between two working samples counts with its share.
+pub(super) fn direction(q: &[f64], velocity: &[f64], law: DirectionLaw, step: usize) -> Vec<f64> {
+    let mut state = Direction::new(law);
+    let at: Vec<f64> = q.iter().zip(velocity).map(|(q, v)| state.step(*q, *v)).collect();
     let half = step / 2;
-    (0..velocity.len())
+    (0..at.len())
         .step_by(step)
         .map(|k| {
-            let (low, high) = (k.saturating_sub(half), (k + half).min(velocity.len() - 1));
+            let (low, high) = (k.saturating_sub(half), (k + half).min(at.len() - 1));
             let mut sum = 0.0;
             let mut weights = 0.0;
-            for i in low..=high {
+            for (i, value) in at.iter().enumerate().take(high + 1).skip(low) {
                 // Trapezoid for an even step: the samples half a step away belong to two working samples.
                 let w = if step.is_multiple_of(2) && (i + half == k || i == k + half) { 0.5 } else { 1.0 };
-                sum += w * sign(velocity[i]);
+                sum += w * value;
                 weights += w;
             }
             sum / weights
@@ -135,7 +139,7 @@ mod tests {
     #[test]
     fn a_limit_is_found_and_a_peak_is_not() {
         let sine: Vec<f64> = (0..4000).map(|k| 3.0 * (k as f64 * 0.01).sin()).collect();
-        assert_eq!(saturation(&sine.iter().map(|v| v + 0.001 * (v * 1e4).sin()).collect::<Vec<_>>()), None);
+        assert_eq!(saturation(&sine), None);
         let clipped: Vec<f64> = sine.iter().map(|v| v.clamp(-2.2, 2.2)).collect();
         let found = saturation(&clipped).unwrap();
         assert_eq!(found.level, 2.2);
@@ -154,11 +158,11 @@ mod tests {
     }
 
     #[test]
-    fn sign_averages_over_the_step() {
+    fn direction_averages_over_the_step() {
         let v = [-1.0, -1.0, -1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0];
         // Around sample 4 with step 4: ½(−1) + 1 + 1 + 1 + ½(1) over 4.
-        let s = mean_sign(&v, 0.0, 4);
-        assert_eq!(s, [-1.0, 0.75, 1.0]);
-        assert_eq!(mean_sign(&[0.005, -0.02], 0.01, 1), [0.5, -1.0]);
+        assert_eq!(direction(&v, &v, DirectionLaw::Sign, 4), [-1.0, 0.75, 1.0]);
+        let ramp = DirectionLaw::Ramp { width_rad_s: 0.01 };
+        assert_eq!(direction(&[0.0; 2], &[0.005, -0.02], ramp, 1), [0.5, -1.0]);
     }
 }

@@ -35,6 +35,11 @@ const WORKING_RATE: f64 = 10.0;
 /// Row rate over band: at 2.5 × band the filter passes 0.07 % of the amplitude.
 const ROW_RATE: f64 = 5.0;
 
+/// Movements [rad] over which Coulomb friction may build up after a reversal. A joint that sticks keeps its torque and
+/// changes it over such a movement; a sign that jumps at zero speed is wrong by up to 2 f_c until the band filter has
+/// forgotten the reversal. Presliding of a size worth naming (milliradians) is beyond them: that is a missing effect.
+pub const BRISTLE_WIDTHS_RAD: [f64; 8] = [1e-5, 2e-5, 4e-5, 8e-5, 1.6e-4, 3.2e-4, 6.4e-4, 1e-3];
+
 /// What a user may choose; `None` is chosen from the recordings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -55,6 +60,9 @@ pub struct Conditioning {
     pub rate_hz: Option<f64>,
     /// A torque or position sample this many robust standard deviations off its neighbours is a spike; 0: keep all.
     pub spike_threshold: f64,
+    /// Let Coulomb friction build up over a small movement after a reversal ([`BRISTLE_WIDTHS_RAD`], chosen per joint),
+    /// instead of changing sign at once.
+    pub bristle: bool,
 }
 
 impl Default for Conditioning {
@@ -68,6 +76,7 @@ impl Default for Conditioning {
             cut_s: None,
             rate_hz: None,
             spike_threshold: 8.0,
+            bristle: true,
         }
     }
 }
@@ -91,6 +100,8 @@ pub struct Plan {
     pub rate_hz: Option<f64>,
     /// Spike threshold in robust standard deviations; 0: keep all.
     pub spike_threshold: f64,
+    /// Whether bristle columns are made.
+    pub bristle: bool,
     /// The torque signal is late against the position by this much [s]; undone before anything else.
     pub torque_delay_s: f64,
 }
@@ -159,6 +170,7 @@ impl Conditioning {
             cut_s: self.cut_s,
             rate_hz: self.rate_hz,
             spike_threshold: self.spike_threshold,
+            bristle: self.bristle,
             torque_delay_s: 0.0,
         })
     }
@@ -202,6 +214,9 @@ pub struct Stretch {
     pub qdd_rad_s2: Vec<Vec<f64>>,
     /// Sign of the velocity, −1 to 1: a ramp through standstill, averaged over the sample period.
     pub sign: Vec<Vec<f64>>,
+    /// The same with a bristle, per joint for every width of [`BRISTLE_WIDTHS_RAD`]: `[joint][width][sample]`; empty unless
+    /// the plan asks for it.
+    pub bristles: Vec<Vec<Vec<f64>>>,
     /// Torques [Nm or the robot file's unit].
     pub tau_nm: Vec<Vec<f64>>,
     /// Further columns by name, interpolated, not filtered.

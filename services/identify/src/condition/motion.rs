@@ -1,9 +1,10 @@
 //! Low-pass, derivatives and decimation of a regular stretch.
 
 use super::signals::{Regular, Sampling};
-use super::{ORDER, Plan, ROW_RATE, Saturation, Stretch, WORKING_RATE, mask};
+use super::{BRISTLE_WIDTHS_RAD, ORDER, Plan, ROW_RATE, Saturation, Stretch, WORKING_RATE, mask};
 use lacuna_estimation::filter::{Stencil, ZeroPhase, differentiate};
 use lacuna_interfaces::{BadInput, RobotFile};
+use lacuna_physics::effects::DirectionLaw;
 
 /// Every how many recorded samples a working sample is taken.
 fn factor(plan: &Plan, sampling: &Sampling) -> usize {
@@ -51,10 +52,15 @@ pub(super) fn stretch(
     let n = part.q.len();
     let (mut qd, mut qdd, mut sign) = (Vec::with_capacity(n), Vec::with_capacity(n), Vec::with_capacity(n));
     let (mut counted, mut fitted) = (Vec::with_capacity(n), Vec::with_capacity(n));
+    let mut bristles = Vec::with_capacity(n);
     for (j, q) in part.q.iter().enumerate() {
         let velocity = differentiate(q, 1.0 / rate, Stencil::Seven, 1)?;
         let acceleration = differentiate(q, 1.0 / rate, Stencil::Seven, 2)?;
-        sign.push(mask::mean_sign(&velocity, plan.standstill_rad_s, k));
+        let ramp = DirectionLaw::Ramp { width_rad_s: plan.standstill_rad_s };
+        sign.push(mask::direction(q, &velocity, ramp, k));
+        let widths: &[f64] = if plan.bristle { &BRISTLE_WIDTHS_RAD } else { &[] };
+        let bristle = |&width_rad| DirectionLaw::Bristle { width_rad, kappa_s_rad: 0.0 };
+        bristles.push(widths.iter().map(|w| mask::direction(q, &velocity, bristle(w), k)).collect());
         let (count, fit) = mask::moving(&velocity, &usable, &clipped[j], plan, rate);
         counted.push(every(&count, k));
         fitted.push(every(&fit, k));
@@ -69,6 +75,7 @@ pub(super) fn stretch(
         qd_rad_s: qd,
         qdd_rad_s2: qdd,
         sign,
+        bristles,
         tau_nm: part.tau.iter().map(|c| every(c, k)).collect(),
         extra: part.extra.iter().map(|(name, c)| (name.clone(), every(c, k))).collect(),
         usable: every(&usable, k),

@@ -105,7 +105,7 @@ impl Sampling {
         let wanders = |r: &Range<usize>| {
             (r.clone()).any(|k| (t_s[k] - t_s[r.start] - (k - r.start) as f64 * mean).abs() > JITTER * mean)
         };
-        let irregular = !(mean > 0.0) || ranges.iter().any(wanders);
+        let irregular = mean <= 0.0 || ranges.iter().any(wanders);
         let own = if irregular { 1.0 / step } else { 1.0 / mean };
         // Rates are whole numbers of hertz; the stamps' rounding is not.
         let own = if own > 10.0 && (own - own.round()).abs() < 5e-3 * own { own.round() } else { own };

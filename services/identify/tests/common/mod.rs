@@ -1,5 +1,7 @@
 //! Where the shared recordings are, and options for them.
 
+#![allow(dead_code, reason = "every test file uses its part")]
+
 use lacuna_identify::{FileRange, Options};
 use std::path::PathBuf;
 

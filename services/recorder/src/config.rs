@@ -48,8 +48,9 @@ fn default_chunk_kib() -> u32 {
     256
 }
 
+/// 8 MiB: at 4 kHz over a second, which a sync to a slow disk may take.
 fn default_queue() -> u32 {
-    8
+    32
 }
 
 fn default_flush() -> f64 {
@@ -76,6 +77,25 @@ pub struct Run<'a> {
 }
 
 impl Config {
+    /// Checks the values and that the file may be written, without writing anything.
+    ///
+    /// # Errors
+    /// [`WriteError`] as [`crate::Recorder::new`] would give it.
+    pub fn check(&self, live: bool) -> Result<(), WriteError> {
+        self.options(live)?;
+        if self.path.exists() && !self.overwrite {
+            return Err(BadInput::new("found an existing file; expected none, or overwrite = true")
+                .in_file(&self.path)
+                .into());
+        }
+        match self.path.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() && folder.exists() && !folder.is_dir() => {
+                Err(BadInput::new("found a file; expected a folder").in_file(folder).into())
+            }
+            _ => Ok(()),
+        }
+    }
+
     pub(crate) fn options(&self, live: bool) -> Result<WriterOptions, WriteError> {
         let bad = |key: &str, found: String, expected: &str| {
             Err(BadInput::new(format!("{key}: found {found}; expected {expected}")).into())

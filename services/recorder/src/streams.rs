@@ -1,7 +1,7 @@
 //! Streams, their topics and their counts.
 
 use crate::{Facts, Run, WriteError};
-use lacuna_interfaces::Header;
+use lacuna_interfaces::{FrictionTorque, Header, JointMeasured, JointSmoothed, PayloadEstimate, TorqueModel, Wire};
 use lacuna_recording::container::{ChannelId, Finished, MessageBatch, Writer};
 use lacuna_recording::ros::bag;
 use lacuna_recording::ros::cdr::Filler;
@@ -27,6 +27,18 @@ pub enum Stream {
 impl Stream {
     /// All, in order.
     pub const ALL: [Self; 5] = [Self::Measured, Self::Smoothed, Self::Torque, Self::Friction, Self::Payload];
+
+    /// The stream of a wire message's name.
+    pub fn of_message(name: &str) -> Option<Self> {
+        match name {
+            JointMeasured::NAME => Some(Self::Measured),
+            JointSmoothed::NAME => Some(Self::Smoothed),
+            TorqueModel::NAME => Some(Self::Torque),
+            FrictionTorque::NAME => Some(Self::Friction),
+            PayloadEstimate::NAME => Some(Self::Payload),
+            _ => None,
+        }
+    }
 
     /// Name in metadata.
     pub fn name(self) -> &'static str {

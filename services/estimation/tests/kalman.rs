@@ -357,12 +357,12 @@ fn bad_input_is_refused_in_words() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(60))]
+    #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
 
     /// Whatever comes, every sample comes out once, in order, finite.
     #[test]
     fn stream_survives_anything(
-        steps in prop::collection::vec((prop_oneof![Just(0i64), Just(1_000_000), Just(-5), 1i64..3_000_000_000, Just(i64::MAX)], prop_oneof![-1e3..1e3f64, Just(f64::NAN), Just(f64::INFINITY)]), 0..120),
+        steps in prop::collection::vec((prop_oneof![Just(0i64), Just(1_000_000), Just(-5), 1i64..20, 1i64..3_000_000_000, Just(i64::MAX)], prop_oneof![-1e3..1e3f64, Just(f64::NAN), Just(f64::INFINITY)]), 0..120),
         lag in 0usize..12, jerk in any::<bool>(), joints in 1usize..4,
     ) {
         let model = if jerk { MotionModel::ConstantJerk } else { MotionModel::ConstantAcceleration };
@@ -377,7 +377,7 @@ proptest! {
             expected.push(stamp);
             smoother.push(stamp, &vec![q; joints], &mut |e| {
                 assert_eq!(e.joints.len(), joints);
-                assert!(e.joints.iter().all(|j| j.q.is_finite() && j.qdd.is_finite() && j.sd_q.is_finite()), "{e:?}");
+                assert!(e.joints.iter().all(|j| [j.q, j.qd, j.qdd, j.sd_q, j.sd_qd, j.sd_qdd].iter().all(|v| v.is_finite())), "{e:?}");
                 found.push(e.stamp_ns);
             });
         }

@@ -5,12 +5,15 @@ use super::small::{
     Matrix, Vector, apply, cholesky, congruence, congruence_plus, identity, inverse, product, right_divide,
     symmetrised, transposed,
 };
-use super::{CovarianceUpdate, Noise, Settings};
+use super::{CovarianceUpdate, Noise, PRIOR_SD, Settings};
 
 /// Largest change of P between two equal steps, relative to its diagonal, that counts as converged.
 const CONVERGED: f64 = 1e-12;
 /// P this close to the converged one is taken for it.
 const BACK_AT_STEADY: f64 = 1e-11;
+/// The predicted position is never taken for less certain than √this measurement standard deviations: beyond,
+/// a measurement replaces the prediction all the same, and the covariance would lose the digits to say more.
+const LEAST_CERTAIN: f64 = 1e11;
 /// Smallest relative Cholesky pivot at which the information of the first samples is inverted.
 const DETERMINED: f64 = 1e-9;
 
@@ -242,7 +245,15 @@ impl<const N: usize> Gains<N> {
             }
             Knowledge::Covariance(p) => p,
         };
-        let next = self.covariance_step(&p, &f, &q);
+        let predicted = congruence_plus(&f, &p, &q);
+        let certain = LEAST_CERTAIN * self.r / predicted[0][0];
+        let next = if certain >= 1.0 {
+            self.covariance_step(&p, &f, &q, &predicted)
+        } else {
+            // A uniform factor leaves the gains as they are.
+            let scaled = |m: &Matrix<N>| m.map(|row| row.map(|v| v * certain));
+            self.covariance_step(&scaled(&p), &f, &scaled(&q), &scaled(&predicted))
+        };
         self.knowledge = Knowledge::Covariance(next);
         if !regular {
             return;
@@ -267,14 +278,13 @@ impl<const N: usize> Gains<N> {
     }
 
     /// One exact step of filter and smoother gain; returns the new P.
-    fn covariance_step(&mut self, p: &Matrix<N>, f: &Matrix<N>, q: &Matrix<N>) -> Matrix<N> {
-        let predicted = congruence_plus(f, p, q);
+    fn covariance_step(&mut self, p: &Matrix<N>, f: &Matrix<N>, q: &Matrix<N>, predicted: &Matrix<N>) -> Matrix<N> {
         let pft = product(p, &transposed(f));
         // P⁻ ≥ Q > 0; should rounding ever deny it, the smoother learns nothing from the future here.
-        let c = cholesky(&predicted, 0.0).map_or([[0.0; N]; N], |l| right_divide(&pft, &l));
+        let c = cholesky(predicted, 0.0).map_or([[0.0; N]; N], |l| right_divide(&pft, &l));
         let s = predicted[0][0] + self.r;
         let k: Vector<N> = std::array::from_fn(|i| predicted[i][0] / s);
-        let mut next = predicted;
+        let mut next = *predicted;
         let a = match self.update {
             CovarianceUpdate::Joseph => {
                 let mut keep = identity::<N>();
@@ -284,7 +294,7 @@ impl<const N: usize> Gains<N> {
                 // 1 − K_0 = r/S, without the cancellation.
                 keep[0][0] = self.r / s;
                 let gained: Matrix<N> = std::array::from_fn(|i| std::array::from_fn(|j| k[i] * k[j] * self.r));
-                next = congruence_plus(&keep, &predicted, &gained);
+                next = congruence_plus(&keep, predicted, &gained);
                 let cf = product(&c, f);
                 let mut rest = identity::<N>();
                 for i in 0..N {
@@ -301,7 +311,7 @@ impl<const N: usize> Gains<N> {
                         next[j][i] = next[i][j];
                     }
                 }
-                let explained = congruence(&c, &predicted);
+                let explained = congruence(&c, predicted);
                 std::array::from_fn(|i| std::array::from_fn(|j| p[i][j] - explained[i][j]))
             }
         };
@@ -316,10 +326,14 @@ impl<const N: usize> Gains<N> {
         let back_t = transposed(&back);
         let drifted = congruence(&back_t, lambda);
         let w = diffusion_factor(&drifted, q);
-        let mut next = symmetrised(&product(&w, &drifted));
+        // Sums of positive parts: Λ⁻ = WΛ'Wᵀ + (WΛ')Q(WΛ')ᵀ and A = AΛA + CQCᵀ hold for the exact W and A, and
+        // keep the results positive where rounding spoils these.
+        let carried = product(&w, &drifted);
+        let mut next = congruence_plus(&carried, q, &congruence(&w, &drifted));
         next[0][0] += 1.0 / self.r;
         let c = product(&back, &transposed(&w));
         let a = symmetrised(&product(&product(&c, q), &back_t));
+        let a = congruence_plus(&c, q, &congruence(&a, lambda));
         let samples = samples + 1;
         let ready = if samples >= N { cholesky(&next, DETERMINED) } else { None };
         let ready = ready.map(|l| symmetrised(&right_divide(&identity(), &l)));
@@ -391,6 +405,14 @@ impl<const N: usize> Mean<N> {
         }
         a
     }
+}
+
+/// Standard deviations of θ, θ̇, θ̈. Steps that differ by a factor of a million within a few samples can leave
+/// no digit of a variance; what is then not positive is unknown.
+#[inline]
+pub(super) fn deviations<const N: usize>(p: &Matrix<N>) -> [f64; 3] {
+    let unknown = [PRIOR_SD[0], PRIOR_SD[0], PRIOR_SD[1]];
+    std::array::from_fn(|i| if p[i][i] > 0.0 { p[i][i].sqrt() } else { unknown[i] })
 }
 
 /// Joints sorted by noise: fills `groups` with the distinct noises' gains and `group_of` with each joint's

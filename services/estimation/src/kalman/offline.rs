@@ -5,7 +5,7 @@
 //! are too many to keep, so that memory beyond the output stays below about 100 MB however long and
 //! irregular the recording is.
 
-use super::gain::{Gains, Mean, Period, group};
+use super::gain::{Gains, Mean, Period, deviations, group};
 use super::lanes::{self, Plan};
 use super::small::{Vector, congruence_plus};
 use super::{MotionModel, PRIOR_SD, Settings, Smoothed};
@@ -188,8 +188,8 @@ impl Stretch<'_> {
             }
         }
         for (signals, p) in sd.iter_mut().zip(&p) {
-            for (i, signal) in signals.iter_mut().enumerate() {
-                signal[last] = p[i][i].sqrt();
+            for (signal, v) in signals.iter_mut().zip(deviations(p)) {
+                signal[last] = v;
             }
         }
         for (b, point) in checkpoints.into_iter().enumerate().rev() {
@@ -331,12 +331,11 @@ fn backward_covariance<const N: usize>(
             let next = congruence_plus(&back.c, p, &back.a);
             let settled = (0..N).all(|i| (next[i][i] - p[i][i]).abs() <= 1e-13 * p[i][i]);
             *p = next;
-            for i in 0..3 {
-                let root = p[i][i].sqrt();
+            for (signal, v) in sd.iter_mut().zip(deviations(p)) {
                 if settled {
-                    sd[i][k..=m].fill(root);
+                    signal[k..=m].fill(v);
                 } else {
-                    sd[i][m] = root;
+                    signal[m] = v;
                 }
             }
             if settled {

@@ -1,6 +1,6 @@
 //! The waiting samples of the fixed-lag smoother and the maps between them, for N states.
 
-use super::gain::{Back, Gains, Mean, Period, carried, group};
+use super::gain::{Back, Gains, Mean, Period, carried, deviations, group};
 use super::small::{Vector, apply, congruence_plus, product};
 use super::stream::{LagEstimate, Wait};
 use super::{JointState, PRIOR_SD, Settings};
@@ -437,9 +437,7 @@ impl<const N: usize> Window<N> {
             }
             for j in (0..n).filter(|&j| self.group_of[j] == group) {
                 let state = &mut self.states[j];
-                state.sd_q = p[0][0].sqrt();
-                state.sd_qd = p[1][1].sqrt();
-                state.sd_qdd = p[2][2].sqrt();
+                [state.sd_q, state.sd_qd, state.sd_qdd] = deviations(&p);
             }
         }
         self.sd_of = if self.steady_run >= later { later } else { 0 };

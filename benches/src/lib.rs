@@ -5,6 +5,7 @@ pub mod chain;
 pub mod latency;
 pub mod memory;
 pub mod motion;
+pub mod stages;
 pub mod throughput;
 
 use std::path::PathBuf;

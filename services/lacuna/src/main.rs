@@ -1,6 +1,9 @@
 //! `lacuna`: the command line.
 
+mod bench;
+mod demo;
 mod graph;
+mod recorded;
 mod runs;
 mod supervise;
 
@@ -28,6 +31,10 @@ enum Command {
     Status(runs::StatusArgs),
     /// Print the logs of a run.
     Logs(runs::LogsArgs),
+    /// The paper's experiment on a simulated robot, through the real process graph.
+    Demo(demo::DemoArgs),
+    /// Benchmarks, each with its baseline in the same run.
+    Bench(bench::BenchArgs),
 }
 
 fn main() -> ExitCode {
@@ -36,6 +43,8 @@ fn main() -> ExitCode {
         Command::Down(args) => runs::down(&args),
         Command::Status(args) => runs::status(&args),
         Command::Logs(args) => runs::logs(&args),
+        Command::Demo(args) => demo::demo(&args),
+        Command::Bench(args) => bench::bench(&args),
     };
     match result {
         Ok(code) => code,

@@ -51,6 +51,10 @@ macro_rules! messages {
                 match self { $(Self::$name(i) => (i.topic(), i.received(), i.missing()),)* }
             }
 
+            fn message(&self) -> &'static str {
+                match self { $(Self::$name(_) => $name::NAME,)* }
+            }
+
             /// Takes up to `BURST` samples; returns how many, and whether the stream ended.
             fn drain(&mut self, take: &mut dyn FnMut(&str, AnyMessage<'_>, u64) -> Result<(), Failure>) -> Result<(usize, bool), Failure> {
                 match self { $(Self::$name(input) => {
@@ -87,8 +91,8 @@ pub struct SinkContext<'a> {
     pub model_text: Option<&'a str>,
     /// The resolved graph.
     pub graph: &'a GraphFile,
-    /// Topics it reads, in the graph's order.
-    pub topics: &'a [String],
+    /// Topics it reads, in the graph's order, each with the name of its message.
+    pub topics: &'a [(String, &'static str)],
     /// Replay: wait rather than lose. Live: drop and count rather than wait.
     pub mode: Mode,
 }
@@ -98,10 +102,10 @@ pub trait Sink: Sized {
     /// The node's `[config]` table.
     type Config: DeserializeOwned;
 
-    /// Checks the configuration and opens the output.
+    /// Checks the configuration. Nothing may be written before the first sample: the run may still fail to start.
     ///
     /// # Errors
-    /// [`BadInput`] if configuration or output cannot be used.
+    /// [`BadInput`] if the configuration cannot be used.
     fn new(config: Self::Config, context: &SinkContext<'_>) -> Result<Self, BadInput>;
 
     /// Takes a sample of `topic`; `missing` samples before it were lost.
@@ -126,6 +130,11 @@ pub fn run_sink<S: Sink>() -> ExitCode {
 }
 
 fn body<S: Sink>(process: &Process) -> Result<StageReport, Failure> {
+    let domain = process.domain()?;
+    let wake = Wake::open(&domain, &process.node.name)?;
+    let mut inputs = open_inputs(&domain, process)?;
+    let topics: Vec<(String, &'static str)> =
+        inputs.iter().flatten().map(|i| (i.counts().0.to_owned(), i.message())).collect();
     let context = SinkContext {
         robot: &process.robot.file,
         robot_text: &process.robot.toml,
@@ -133,13 +142,10 @@ fn body<S: Sink>(process: &Process) -> Result<StageReport, Failure> {
         model: process.model.as_ref(),
         model_text: process.model_text.as_deref(),
         graph: &process.graph,
-        topics: &process.node.inputs,
+        topics: &topics,
         mode: process.graph.mode,
     };
     let mut sink = S::new(process.config()?, &context)?;
-    let domain = process.domain()?;
-    let wake = Wake::open(&domain, &process.node.name)?;
-    let mut inputs = open_inputs(&domain, process)?;
     Event::Ready.emit();
 
     let mut report = StageReport::default();

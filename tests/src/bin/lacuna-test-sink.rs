@@ -28,7 +28,7 @@ impl Sink for Counter {
     type Config = Config;
 
     fn new(config: Config, context: &SinkContext<'_>) -> Result<Self, BadInput> {
-        let seen = context.topics.iter().map(|t| (t.clone(), (0, 0))).collect();
+        let seen = context.topics.iter().map(|(topic, _)| (topic.clone(), (0, 0))).collect();
         Ok(Self { config, seen, total: 0 })
     }
 

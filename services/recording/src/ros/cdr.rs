@@ -206,6 +206,13 @@ impl<'a> Cursor<'a> {
         Some(if self.little { u32::from_le_bytes(bytes) } else { u32::from_be_bytes(bytes) })
     }
 
+    /// `float64`.
+    pub fn f64(&mut self) -> Option<f64> {
+        self.align(8);
+        let bytes = self.take(8)?.try_into().ok()?;
+        Some(if self.little { f64::from_le_bytes(bytes) } else { f64::from_be_bytes(bytes) })
+    }
+
     /// `std_msgs/Header`: the stamp [ns].
     pub fn header(&mut self) -> Option<i64> {
         let seconds = self.u32()? as i32;

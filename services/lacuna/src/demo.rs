@@ -1,0 +1,323 @@
+//! `lacuna demo`: the paper's experiment on a simulated robot, through the real process graph.
+//!
+//! Thirteen free motions and a pick-and-place with 3.8 kg are simulated; the model is identified from twelve of the
+//! free motions; the thirteenth (v_F) and the pick-and-place (v_P) are replayed through the graph; and the paper's
+//! two tables are computed from what the graph recorded.
+
+use crate::CommandResult;
+use crate::recorded::{Recorded, Series};
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use lacuna_identify::{Method, Options, Outcome};
+use lacuna_report::{JointTrace, NamedSeries, OverlayPicture, TorqueTrace, overlay_svg};
+use lacuna_simulate::demo::{DEMO_PAYLOAD_KG, DEMO_ROBOT};
+use lacuna_simulate::{Demo, EventTruth, demo_delta, write_csv};
+use lacuna_stage::{Failure, HopLatency};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode, Stdio};
+use std::time::Duration;
+
+/// Speed above which a sample counts as moving [rad/s]: below it Coulomb friction is indeterminate.
+const MOVING: f64 = 0.05;
+/// The estimate counts as settled within this share of the true mass.
+const SETTLED: f64 = 0.05;
+/// Seconds of the live run that the latencies come from.
+const LIVE_S: f64 = 6.0;
+
+#[derive(Args)]
+pub struct DemoArgs {
+    /// Folder for recordings, models and results.
+    #[arg(long, default_value = "recordings/demo")]
+    out: PathBuf,
+    /// Folder of the launch files.
+    #[arg(long, default_value = "launch")]
+    launch: PathBuf,
+    /// Seed of the simulated robot.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Also draw measured and model torque as SVG.
+    #[arg(long, value_name = "FILE")]
+    picture: Option<PathBuf>,
+}
+
+/// `lacuna demo`.
+pub fn demo(args: &DemoArgs) -> CommandResult {
+    let bar = spinner();
+    bar.set_message("simulating 13 free motions and a pick-and-place with 3.8 kg");
+    let demo = demo_delta(args.seed)?;
+    let files = Files::write(&args.out, &demo)?;
+
+    bar.set_message("identifying ρ1, ρ2 and friction from 12 motions, as in the paper");
+    let paper = identify(&files, Method::Paper, &bar)?;
+    std::fs::write(&files.model, paper.model.to_toml()?).map_err(|e| cannot_write(&files.model, &e))?;
+    bar.set_message("identifying all base parameters from the same motions");
+    let ours = identify(&files, Method::Pooled, &bar)?;
+
+    bar.set_message("replaying v_F through the graph");
+    up(args, &files, "replay.toml", &files.test, &files.mcap("v_f.mcap"), 0.0)?;
+    bar.set_message("replaying v_P through the graph");
+    let replay = up(args, &files, "replay.toml", &files.pick_place, &files.mcap("v_p.mcap"), 0.0)?;
+    bar.set_message("running v_P live at recorded speed, for the latencies");
+    let live = up(args, &files, "live.toml", &files.short, &files.mcap("live.mcap"), 1.0)?;
+    bar.finish_and_clear();
+
+    let free = Recorded::read(&files.mcap("v_f.mcap"))?;
+    let carried = Recorded::read(&files.mcap("v_p.mcap"))?;
+    let events = demo.pick_place.truth.events.values().next().cloned().unwrap_or_default();
+    print_table_1(&free, &paper, &ours)?;
+    print_table_2(&carried)?;
+    print_payload(&carried, &events);
+    print_run(&replay, &live);
+    if let Some(path) = &args.picture {
+        draw(&free, path)?;
+        println!("\nPicture: {}", path.display());
+    }
+    println!("\nRecordings: {} and {}", files.mcap("v_f.mcap").display(), files.mcap("v_p.mcap").display());
+    println!("Open them in Foxglove or Lichtblick (open local file), in PlotJuggler (drag and drop), or with `rerun FILE`;");
+    println!("plot /measured, /torque/nominal, /torque/rigid, /friction, /residual by joint name, and /payload.");
+    Ok(ExitCode::SUCCESS)
+}
+
+struct Files {
+    robot: PathBuf,
+    training: Vec<PathBuf>,
+    test: PathBuf,
+    pick_place: PathBuf,
+    short: PathBuf,
+    model: PathBuf,
+    out: PathBuf,
+}
+
+impl Files {
+    fn write(out: &Path, demo: &Demo) -> Result<Self, Failure> {
+        std::fs::create_dir_all(out).map_err(|e| cannot_write(out, &e))?;
+        let files = Self {
+            robot: out.join("robot.toml"),
+            training: (1..=demo.training_motions().len()).map(|i| out.join(format!("free_{i:02}.csv"))).collect(),
+            test: out.join("v_f.csv"),
+            pick_place: out.join("v_p.csv"),
+            short: out.join("v_p_start.csv"),
+            model: out.join("model.toml"),
+            out: out.to_path_buf(),
+        };
+        std::fs::write(&files.robot, DEMO_ROBOT).map_err(|e| cannot_write(&files.robot, &e))?;
+        let test = demo.test_motion().ok_or_else(|| Failure::run("the simulation gave no motion"))?;
+        let carried = demo.pick_place.recordings.first().ok_or_else(|| Failure::run("the simulation gave no pick-and-place"))?;
+        let mut start = carried.clone();
+        let keep = carried.t_s.iter().take_while(|t| **t < carried.t_s[0] + LIVE_S).count();
+        start.t_s.truncate(keep);
+        start.q_rad.iter_mut().chain(&mut start.tau_nm).chain(start.extra.values_mut()).for_each(|c| c.truncate(keep));
+        let all = files.training.iter().zip(demo.training_motions());
+        for (path, recording) in all.chain([(&files.test, test), (&files.pick_place, carried), (&files.short, &start)]) {
+            let file = std::fs::File::create(path).map_err(|e| cannot_write(path, &e))?;
+            write_csv(recording, &mut std::io::BufWriter::new(file)).map_err(|e| cannot_write(path, &e))?;
+        }
+        Ok(files)
+    }
+
+    fn mcap(&self, name: &str) -> PathBuf {
+        self.out.join(name)
+    }
+}
+
+fn cannot_write(path: &Path, e: &dyn std::fmt::Display) -> Failure {
+    Failure::run(format!("{}: cannot be written: {e}", path.display()))
+}
+
+fn identify(files: &Files, method: Method, bar: &ProgressBar) -> Result<Outcome, Failure> {
+    let range = |path: &PathBuf| lacuna_identify::FileRange { path: path.clone(), from_s: None, to_s: None };
+    let options = Options {
+        robot: files.robot.clone(),
+        train: files.training.iter().map(range).collect(),
+        test: vec![range(&files.test)],
+        method,
+        ..Options::default()
+    };
+    Ok(lacuna_identify::identify(&options, &mut |_, _| bar.tick())?)
+}
+
+/// Runs a graph with this very executable and returns its report.
+fn up(args: &DemoArgs, files: &Files, graph: &str, recording: &Path, out: &Path, rate: f64) -> Result<serde_json::Value, Failure> {
+    let own = std::env::current_exe().map_err(|e| Failure::run(format!("own executable: {e}")))?;
+    let mut command = Command::new(own);
+    command.arg("up").arg(args.launch.join(graph)).arg("--json");
+    let paths = [("recording", recording), ("robot", &files.robot), ("model", &files.model), ("out", out)];
+    for (key, path) in paths {
+        command.arg("--set").arg(format!("{key}={}", path.display()));
+    }
+    command.args(["--set", "overwrite=true"]);
+    if rate > 0.0 {
+        command.arg("--set").arg(format!("rate={rate}"));
+    }
+    let done = command.stdin(Stdio::null()).output().map_err(|e| Failure::run(format!("lacuna up: {e}")))?;
+    let words = String::from_utf8_lossy(&done.stderr);
+    // Live edges may drop under load; the report says so, and the latencies are still of use.
+    if !matches!(done.status.code(), Some(0 | 3)) {
+        return Err(Failure::run(words.trim().trim_start_matches("lacuna: ").to_owned()));
+    }
+    serde_json::from_slice(&done.stdout).map_err(|e| Failure::run(format!("lacuna up {graph}: unreadable report: {e}")))
+}
+
+/// Mean and standard deviation over the moving samples of each joint.
+fn moments(recorded: &Recorded, error: impl Fn(usize, usize) -> f64) -> Vec<(f64, f64)> {
+    let joints = recorded.velocity.values.first().map_or(0, Vec::len);
+    (0..joints)
+        .map(|j| {
+            let moving = (0..recorded.velocity.values.len()).filter(|&k| recorded.velocity.values[k][j].abs() > MOVING);
+            let (mut n, mut sum, mut squares) = (0.0, 0.0, 0.0);
+            for e in moving.map(|k| error(k, j)) {
+                n += 1.0;
+                sum += e;
+                squares += e * e;
+            }
+            let mean: f64 = sum / f64::max(n, 1.0);
+            (mean, (squares / f64::max(n, 1.0) - mean * mean).max(0.0).sqrt())
+        })
+        .collect()
+}
+
+/// The streams of a recording, all of one length.
+fn streams<'a, const N: usize>(recorded: &'a Recorded, topics: [&str; N]) -> Result<[&'a Series; N], Failure> {
+    let mut found = Vec::new();
+    for topic in topics {
+        let series = recorded.effort(topic)?;
+        if series.values.len() != recorded.velocity.values.len() {
+            return Err(Failure::run(format!("{topic} has {} samples, /smoothed has {}", series.values.len(), recorded.velocity.values.len())));
+        }
+        found.push(series);
+    }
+    found.try_into().map_err(|_| Failure::run("streams"))
+}
+
+fn print_row(name: &str, columns: &[Vec<(f64, f64)>], joint: usize) {
+    print!("  {name:<6}");
+    for column in columns {
+        let (mean, sd) = column.get(joint).copied().unwrap_or((f64::NAN, f64::NAN));
+        print!("  {mean:>8.2} {sd:>8.2}");
+    }
+    println!();
+}
+
+fn print_table_1(free: &Recorded, paper: &Outcome, ours: &Outcome) -> Result<(), Failure> {
+    let [measured, nominal, rigid, friction] = streams(free, ["/measured", "/torque/nominal", "/torque/rigid", "/friction"])?;
+    let columns = [
+        moments(free, |k, j| measured.values[k][j] - nominal.values[k][j]),
+        moments(free, |k, j| measured.values[k][j] - rigid.values[k][j]),
+        moments(free, |k, j| measured.values[k][j] - rigid.values[k][j] - friction.values[k][j]),
+    ];
+    println!("Table 1. Torque error over v_F, a free motion not used for identification (Nm, moving samples)");
+    println!("  {:<6}  {:^17}  {:^17}  {:^17}", "", "M_KH", "M_Id", "M_Id+F");
+    println!("  {:<6}  {:>8} {:>8}  {:>8} {:>8}  {:>8} {:>8}", "", "μ", "σ", "μ", "σ", "μ", "σ");
+    for j in 0..columns[0].len() {
+        print_row(&format!("τ{}", j + 1), &columns, j);
+    }
+    if let Some(p) = &paper.identification.paper {
+        println!("  ρ1 = {:.3}, ρ2 = {:.3}; f_v = {:.2?} Nm s/rad; f_c = {:.2?} Nm", p.rho1, p.rho2, p.f_v, p.f_c);
+    }
+    let sd = |o: &Outcome| o.identification.held_out.std_nm.iter().map(|v| format!("{v:.2}")).collect::<Vec<_>>().join(", ");
+    println!("  Offline on the same motion, σ per joint: paper's method {} Nm; all base parameters fitted together {} Nm.", sd(paper), sd(ours));
+    Ok(())
+}
+
+fn print_table_2(carried: &Recorded) -> Result<(), Failure> {
+    let [without, with] = streams(carried, ["/residual", "/residual_payload"])?;
+    let columns = [moments(carried, |k, j| without.values[k][j]), moments(carried, |k, j| with.values[k][j])];
+    println!("\nTable 2. Torque error of M_Id+F over v_P, pick-and-place with {DEMO_PAYLOAD_KG} kg (Nm, moving samples)");
+    println!("  {:<6}  {:^17}  {:^17}", "", "m_p = 0", "m_p = m̂_p");
+    println!("  {:<6}  {:>8} {:>8}  {:>8} {:>8}", "", "μ", "σ", "μ", "σ");
+    for j in 0..columns[0].len() {
+        print_row(&format!("τ{}", j + 1), &columns, j);
+    }
+    Ok(())
+}
+
+/// How long after `from` the estimate stays within `tolerance` of `mass` for good (until `until`), and its mean then.
+fn settling(payload: &Series, from: f64, until: f64, mass: f64, tolerance: f64) -> Option<(f64, f64)> {
+    let inside: Vec<(f64, f64)> = payload
+        .t_s
+        .iter()
+        .zip(&payload.values)
+        .filter(|(t, v)| **t >= from && **t < until && v[2] > 0.0)
+        .map(|(t, v)| (*t, v[0]))
+        .collect();
+    let last_out = inside.iter().rposition(|(_, m)| (m - mass).abs() > tolerance);
+    let settled = &inside[last_out.map_or(0, |i| i + 1)..];
+    let first = settled.first()?;
+    Some((first.0 - from, settled.iter().map(|s| s.1).sum::<f64>() / settled.len() as f64))
+}
+
+fn print_payload(carried: &Recorded, events: &[EventTruth]) {
+    println!("\nPayload m̂_p (settled: within {:.0} % of the true mass, or of zero, until the next event)", SETTLED * 100.0);
+    let end = carried.payload.t_s.last().copied().unwrap_or(0.0);
+    for (i, event) in events.iter().enumerate() {
+        let next = events.get(i + 1).map_or(end, |e| e.t_on);
+        let tolerance = SETTLED * event.mass;
+        match settling(&carried.payload, event.t_on, event.t_off, event.mass, tolerance) {
+            Some((s, m)) => println!(
+                "  pick  at {:6.3} s: settled after {s:.3} s at {m:.3} kg, error {:+.1} %",
+                event.t_on,
+                (m / event.mass - 1.0) * 100.0
+            ),
+            None => println!("  pick  at {:6.3} s: not settled before the place", event.t_on),
+        }
+        match settling(&carried.payload, event.t_off, next, 0.0, tolerance) {
+            Some((s, m)) => println!("  place at {:6.3} s: zero after {s:.3} s, {m:+.3} kg", event.t_off),
+            None => println!("  place at {:6.3} s: not back to zero before the next pick", event.t_off),
+        }
+    }
+}
+
+fn print_run(replay: &serde_json::Value, live: &serde_json::Value) {
+    let rate = replay["samples"].as_f64().unwrap_or(0.0) / replay["seconds"].as_f64().unwrap_or(f64::NAN);
+    println!("\nGraph: 6 processes, replay of v_P at {:.0} samples/s including start and end, {} lost", rate, replay["lost"]);
+    println!("Live at 1 kHz, latency per hop (µs)           p50       p99     p99.9       max    {} lost", live["lost"]);
+    let names = ["source", "smoother", "torque", "friction", "payload", "recorder"];
+    let hops: Vec<HopLatency> = serde_json::from_value(live["nodes"]["recorder"]["latency"].clone()).unwrap_or_default();
+    for hop in hops {
+        let label = named_hop(&hop.hop, &names);
+        println!("  {label:<38} {:>9.1} {:>9.1} {:>9.1} {:>9.1}", hop.p50_us, hop.p99_us, hop.p999_us, hop.max_us);
+    }
+}
+
+fn named_hop(hop: &str, names: &[&str]) -> String {
+    let node = |text: &str| if text == "here" { names.last().copied() } else { names.get(text.parse::<usize>().ok()?).copied() };
+    let (pair, rest) = hop.split_once(' ').map_or((hop, String::new()), |(a, b)| (a, format!(" {b}")));
+    match pair.split_once('→').map(|(a, b)| (node(a), node(b))) {
+        Some((Some(a), Some(b))) => format!("{a} → {b}{rest}"),
+        _ => hop.to_owned(),
+    }
+}
+
+fn draw(free: &Recorded, path: &Path) -> Result<(), Failure> {
+    let [measured, nominal, rigid, friction] = streams(free, ["/measured", "/torque/nominal", "/torque/rigid", "/friction"])?;
+    let column = |s: &Series, j: usize| s.values.iter().map(|v| v[j]).collect::<Vec<f64>>();
+    let joints = (0..measured.values.first().map_or(0, Vec::len))
+        .map(|j| {
+            let full = column(rigid, j).iter().zip(column(friction, j)).map(|(a, b)| a + b).collect();
+            let series = |name: &str, values| NamedSeries { name: name.to_owned(), values };
+            JointTrace {
+                joint: format!("τ{}", j + 1),
+                measured: column(measured, j),
+                models: vec![series("M_KH", column(nominal, j)), series("M_Id", column(rigid, j)), series("M_Id+F", full)],
+                ..JointTrace::default()
+            }
+        })
+        .collect();
+    let trace = TorqueTrace { recording: "v_F".to_owned(), t_s: measured.t_s.clone(), joints };
+    let picture = OverlayPicture {
+        title: "Torque of a free motion the model has not seen: measured (grey) and modelled",
+        torque_unit: "Nm",
+        trace: &trace,
+        window_s: Some((1.0, 4.0)),
+    };
+    std::fs::write(path, overlay_svg(&picture)).map_err(|e| cannot_write(path, &e))
+}
+
+fn spinner() -> ProgressBar {
+    let bar = ProgressBar::new_spinner();
+    if let Ok(style) = ProgressStyle::with_template("{spinner} {msg} ({elapsed})") {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(120));
+    bar
+}

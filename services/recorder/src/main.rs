@@ -1,0 +1,109 @@
+//! The recorder process: the bus into a file.
+
+use lacuna_interfaces::graph::Mode;
+use lacuna_interfaces::{BadInput, RobotFile};
+use lacuna_recorder::{Attachment, Config, Recorder, Run, Stream};
+use lacuna_stage::{AnyMessage, Sink, SinkContext, run_sink};
+use std::collections::BTreeMap;
+use std::process::ExitCode;
+
+/// The file is made with the first sample: a run that fails before leaves none, and replaces none.
+struct Process {
+    config: Config,
+    robot: RobotFile,
+    streams: Vec<Stream>,
+    live: bool,
+    attachments: Vec<Attachment>,
+    facts: BTreeMap<String, String>,
+    recorder: Option<Recorder>,
+}
+
+impl Process {
+    fn recorder(&mut self) -> Result<&mut Recorder, String> {
+        if self.recorder.is_none() {
+            let run = Run {
+                robot: &self.robot,
+                streams: &self.streams,
+                live: self.live,
+                attachments: std::mem::take(&mut self.attachments),
+                facts: std::mem::take(&mut self.facts),
+            };
+            self.recorder = Some(Recorder::new(&self.config, &run).map_err(|e| e.to_string())?);
+        }
+        self.recorder.as_mut().ok_or_else(|| "no recorder".to_owned())
+    }
+}
+
+fn attachments(context: &SinkContext<'_>) -> Result<Vec<Attachment>, BadInput> {
+    let graph = toml::to_string(context.graph).map_err(|e| BadInput::new(format!("graph: {e}")))?;
+    let files = [
+        ("robot.toml", "application/toml", Some(context.robot_text)),
+        ("robot.urdf", "application/xml", context.urdf),
+        ("model.toml", "application/toml", context.model_text),
+        ("graph.toml", "application/toml", Some(&graph)),
+    ];
+    let attach = |(name, media_type, text): (&str, &str, Option<&str>)| {
+        text.map(|text| Attachment { name: name.to_owned(), media_type: media_type.to_owned(), data: text.as_bytes().to_vec() })
+    };
+    Ok(files.into_iter().filter_map(attach).collect())
+}
+
+impl Sink for Process {
+    type Config = Config;
+
+    fn new(config: Config, context: &SinkContext<'_>) -> Result<Self, BadInput> {
+        let live = context.mode == Mode::Live;
+        config.check(live).map_err(|e| BadInput::new(e.to_string()))?;
+        let mut streams = Vec::new();
+        for (topic, message) in context.topics {
+            let stream = Stream::of_message(message)
+                .ok_or_else(|| BadInput::new(format!("topic \"{topic}\": {message} is not a message the recorder knows")))?;
+            if streams.contains(&stream) {
+                return Err(BadInput::new(format!("topic \"{topic}\": a second topic of {message}; expected one of each")));
+            }
+            streams.push(stream);
+        }
+        Ok(Self {
+            robot: context.robot.clone(),
+            streams,
+            live,
+            attachments: attachments(context)?,
+            facts: BTreeMap::from([("graph".to_owned(), context.graph.name.clone())]),
+            config,
+            recorder: None,
+        })
+    }
+
+    fn take(&mut self, _topic: &str, message: AnyMessage<'_>, _missing: u64) -> Result<(), String> {
+        let recorder = self.recorder()?;
+        match message {
+            AnyMessage::JointMeasured(m) => recorder.measured(m),
+            AnyMessage::JointSmoothed(m) => recorder.smoothed(m),
+            AnyMessage::TorqueModel(m) => recorder.torque(m),
+            AnyMessage::FrictionTorque(m) => recorder.friction(m),
+            AnyMessage::PayloadEstimate(m) => recorder.payload(m),
+        }
+        .map_err(|e| e.to_string())
+    }
+
+    fn idle(&mut self) {}
+
+    fn finish(mut self, complete: bool) -> Result<serde_json::Value, String> {
+        let path = self.config.path.display().to_string();
+        if !complete {
+            // Dropping the recorder writes what it holds, without the mark of a complete file.
+            return Ok(serde_json::json!({ "path": path, "complete": false }));
+        }
+        self.recorder()?;
+        let Some(recorder) = self.recorder.take() else { return Err("no recorder".to_owned()) };
+        let counts = recorder.finish().map_err(|e| e.to_string())?;
+        let samples: BTreeMap<&str, u64> = counts.samples.iter().map(|(s, n)| (s.name(), *n)).collect();
+        Ok(serde_json::json!({
+            "path": path, "complete": true, "samples": samples, "messages": counts.messages, "dropped": counts.dropped,
+        }))
+    }
+}
+
+fn main() -> ExitCode {
+    run_sink::<Process>()
+}

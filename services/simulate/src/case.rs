@@ -103,6 +103,9 @@ pub fn draw_case(seed: u64, options: &CaseOptions) -> Result<Case, BadInput> {
         measure_effects: options.measure_effects,
         ..SimulationConfig::default()
     };
+    // A coarser encoder has coarser steps, not more noise: what shakes it is about the same.
+    let bits = robot.drive.encoder_bits.as_ref().and_then(|b| b.get(0)).unwrap_or(20.0);
+    config.noise.encoder_steps = (random.uniform(1.5, 3.5) * (bits - 20.0).exp2()).max(0.3);
     // Temperature columns appear also where nothing depends on them.
     config.log.temperature = random.unit() < 0.5 || config.effects.iter().any(|e| e.id == "thermal_viscous");
     Ok(Case { robot, config })

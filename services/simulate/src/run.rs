@@ -86,24 +86,43 @@ pub fn run(
     start_s: f64,
     random: &mut Random,
 ) -> Result<Logged, BadInput> {
-    let left = |t: f64| {
-        BadInput::new(format!(
-            "simulation: the robot left its workspace at t = {t:.3} s; expected a motion and effects that it can follow"
-        ))
-    };
-    let begin = reference.at(0.0).map_err(|Unreachable| left(0.0))?;
+    let begin = reference.at(0.0).map_err(|Unreachable| Stop::Left(0.0).in_words())?;
     let controller = Controller::new(&setup.control, setup.nominal, setup.truth, setup.robot, &begin.q)?;
     let mut motor = begin.q;
     for (i, joint) in setup.truth.joints.iter().enumerate() {
         motor[i] -= joint.encoder_offset;
     }
     let dt = 1.0 / setup.control.rate_hz / f64::from(setup.control.substeps.max(1));
-    let plant = Stepper::at_rest(setup.truth, events, start_s, dt, &motor).map_err(|Unreachable| left(0.0))?;
-    let ticks = close_loop(setup, reference, duration_s, controller, plant, random).map_err(left)?;
+    let plant =
+        Stepper::at_rest(setup.truth, events, start_s, dt, &motor).map_err(|Unreachable| Stop::Left(0.0).in_words())?;
+    let ticks = close_loop(setup, reference, duration_s, controller, plant, random).map_err(Stop::in_words)?;
     log(setup, &ticks, duration_s, random)
 }
 
-/// Runs the loop; the error is the time at which the robot left its workspace.
+/// Why a run ended early.
+enum Stop {
+    /// The robot left its workspace at this time [s].
+    Left(f64),
+    /// At this time [s] this joint (0-based) was further from its reference than any drive would go on with.
+    Lost(f64, usize),
+}
+
+/// Following error at which a drive trips [rad].
+const TRIP_RAD: f64 = 0.5;
+
+impl Stop {
+    fn in_words(self) -> BadInput {
+        let expected = "expected a motion, drives and effects with which the robot can follow";
+        BadInput::new(match self {
+            Self::Left(t) => format!("simulation: the robot left its workspace at t = {t:.3} s; {expected}"),
+            Self::Lost(t, i) => {
+                format!("simulation: joint {} was {TRIP_RAD} rad off its reference at t = {t:.3} s; {expected}", i + 1)
+            }
+        })
+    }
+}
+
+/// Runs the loop.
 fn close_loop(
     setup: &Setup<'_>,
     reference: &dyn Reference,
@@ -111,7 +130,7 @@ fn close_loop(
     mut controller: Controller<'_>,
     mut plant: Stepper<'_>,
     random: &mut Random,
-) -> Result<Ticks, f64> {
+) -> Result<Ticks, Stop> {
     let n = setup.truth.joints.len();
     let period = 1.0 / setup.control.rate_hz;
     let substeps = setup.control.substeps.max(1);
@@ -128,20 +147,24 @@ fn close_loop(
             speed[i] = plant.motor_speed(i);
             reading[i] = encoder(position[i], setup.encoder_step[i], setup.encoder_noise, random);
         }
-        let target = reference.at(t.max(0.0)).map_err(|Unreachable| t)?;
-        let command = controller.command(&reading, &target).map_err(|Unreachable| t)?;
+        let target = reference.at(t.max(0.0)).map_err(|Unreachable| Stop::Left(t))?;
+        let command = controller.command(&reading, &target).map_err(|Unreachable| Stop::Left(t))?;
         let mut drive = Joints::default();
         for i in 0..n {
             drive[i] = setup.truth.joints[i].delivered(command[i]);
             if setup.process_noise[i] > 0.0 {
                 drive[i] += setup.process_noise[i] * random.normal();
             }
+            let error = (target.q[i] - position[i]).abs();
+            if error.is_nan() || error > TRIP_RAD {
+                return Err(Stop::Lost(t, i));
+            }
             if tick >= zero {
-                ticks.error = ticks.error.max((target.q[i] - position[i]).abs());
+                ticks.error = ticks.error.max(error);
             }
         }
         for k in 0..substeps {
-            plant.step(t + f64::from(k) * dt, &drive).map_err(|Unreachable| t)?;
+            plant.step(t + f64::from(k) * dt, &drive).map_err(|Unreachable| Stop::Left(t))?;
         }
         ticks.command.push(command);
         ticks.reading.push(reading);

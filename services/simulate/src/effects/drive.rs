@@ -205,7 +205,7 @@ pub const EFFECTS: &[Effect] = &[
         ],
         draw: |r, s, i| {
             let p = if r.unit() < 0.5 { 1.0 } else { 2.0 };
-            params(&[("a", r.uniform(0.1, 0.3)), ("tau_k", r.uniform(0.5, 0.9) * s.torque[i]), ("p", p)])
+            params(&[("a", r.uniform(0.15, 0.5)), ("tau_k", r.uniform(0.35, 0.7) * s.torque[i]), ("p", p)])
         },
         apply: |v, w| {
             for &i in &v.joints {
@@ -223,7 +223,7 @@ pub const EFFECTS: &[Effect] = &[
         kind: None,
         law: "logged τ(t) is the executed torque of t − D",
         parameters: &[parameter("D", "s", MUST, -1e-3, 0.05)],
-        draw: |r, _, _| params(&[("D", r.uniform(3e-4, 1.5e-3))]),
+        draw: |r, _, _| params(&[("D", r.uniform(5e-4, 2e-3))]),
         apply: |v, w| {
             w.truth.torque_delay += v.get("D");
             Ok(())
@@ -237,7 +237,7 @@ pub const EFFECTS: &[Effect] = &[
         kind: None,
         law: "true angle = reading + q_0",
         parameters: &[parameter("q_0", "rad", MUST, -0.5, 0.5)],
-        draw: |r, _, _| params(&[("q_0", r.sign() * r.uniform(0.006, 0.025))]),
+        draw: |r, _, _| params(&[("q_0", r.sign() * r.uniform(0.01, 0.03))]),
         apply: |v, w| {
             for &i in &v.joints {
                 w.truth.joints[i].encoder_offset -= v.get("q_0");

@@ -187,6 +187,7 @@ struct Values<'a> {
 
 impl Values<'_> {
     fn get(&self, symbol: &str) -> f64 {
+        debug_assert!(self.effect.parameters.iter().any(|p| p.symbol == symbol), "{}: {symbol}", self.effect.id);
         let default = || self.effect.parameters.iter().find(|p| p.symbol == symbol).map_or(0.0, |p| p.default);
         self.given.get(symbol).copied().unwrap_or_else(default)
     }
@@ -297,9 +298,6 @@ const STRENGTHS: &[&str] = &[
     "c",
     "f_c",
     "f_v",
-    "ds_1",
-    "ds_2",
-    "dm",
 ];
 
 fn check_kind(effect: &Effect, robot: &RobotFile) -> Result<(), BadInput> {

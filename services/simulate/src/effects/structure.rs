@@ -152,7 +152,8 @@ pub const EFFECTS: &[Effect] = &[
         parameters: &[parameter("dl", "m", 0.0, -0.2, 0.2), parameter("dl_2", "m", 0.0, -0.2, 0.2)],
         draw: |r, s, _| {
             let d = r.sign() * r.uniform(0.02, 0.05) * s.reach;
-            if r.unit() < 0.5 { params(&[("dl1", d), ("dl", d)]) } else { params(&[("dl2", 2.0 * d), ("dl", d)]) }
+            // Chains have no forearms.
+            if s.forearm_point > 0.0 && r.unit() < 0.5 { params(&[("dl_2", 2.0 * d)]) } else { params(&[("dl", d)]) }
         },
         apply: link_length,
     },
@@ -242,7 +243,7 @@ pub const EFFECTS: &[Effect] = &[
         scope: Scope::Structure,
         kind: Some(Kind::Delta),
         law: "Coulomb moment and viscous friction in the ball joints at both ends of every forearm",
-        parameters: &[parameter("moment", "Nm", MUST, 0.0, 1e3), parameter("viscous", "Nm s/rad", 0.0, 0.0, 1e3)],
+        parameters: &[parameter("mu", "Nm", 0.0, 0.0, 1e3), parameter("b", "Nm s/rad", 0.0, 0.0, 1e3)],
         draw: |r, s, i| {
             params(&[("mu", r.uniform(0.01, 0.04) * s.torque[i]), ("b", r.uniform(0.0, 0.003) * s.torque[i])])
         },

@@ -96,7 +96,7 @@ pub const EFFECTS: &[Effect] = &[
             let m = draw_mass(r, s);
             let (sin, cos) = (TAU * r.unit()).sin_cos();
             let e = r.uniform(0.06, 0.15) * s.reach;
-            let omega = r.sign() * r.uniform(12.0, 30.0);
+            let omega = r.sign() * r.uniform(8.0, 18.0);
             params(&[("m", m), ("m_x", m * e * cos), ("m_y", m * e * sin), ("omega", omega)])
         },
         apply: payload,

@@ -22,9 +22,9 @@ pub const EFFECTS: &[Effect] = &[
         draw: |r, s, i| {
             let (low, high) = (s.limits.q_min[i], s.limits.q_max[i]);
             params(&[
-                ("height", r.uniform(0.15, 0.35) * s.torque[i]),
+                ("height", r.uniform(0.2, 0.45) * s.torque[i]),
                 ("at", low + (high - low) * r.uniform(0.35, 0.65)),
-                ("width", r.uniform(0.04, 0.12)),
+                ("width", r.uniform(0.03, 0.08) * (high - low)),
             ])
         },
         apply: |v, w| {

@@ -17,8 +17,8 @@ pub struct EffectSample<'a> {
     pub qdd_rad_s2: &'a Joints,
     /// sgn θ̇ in [−1, 1], with the caller's treatment of standstill.
     pub direction: &'a Joints,
-    /// Speed over which the sign of a speed that is no joint's own (a ball joint's, a motor's behind a
-    /// coupling) goes from 0 to 1 [rad/s].
+    /// Speed over which the sign of a speed that is no joint's own (a motor's behind a coupling) goes from 0
+    /// to 1 [rad/s].
     pub ramp_rad_s: f64,
     /// Torque that the gear passes to the link [Nm]: rigid body without rotor inertia, and link-side effects.
     pub tau_link_nm: &'a Joints,

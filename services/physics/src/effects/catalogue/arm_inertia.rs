@@ -70,47 +70,56 @@ pub(super) fn along(context: &EffectContext<'_>, directions: Vec<Vec<f64>>) -> B
 }
 
 /// Inertia about the axis and first moments across it, as weights of the link's parameters.
+///
+/// The frame's origin need not be on the axis, where a first moment would bring inertia about the axis with
+/// it: that part is taken out.
 fn serial_directions(context: &EffectContext<'_>, j: usize) -> Result<[Vec<(&'static str, f64)>; 3], BadInput> {
     if context.is_prismatic(j) {
         return Err(BadInput::new(format!("joint {} slides; expected one that turns", j + 1)));
     }
-    let a = axis(context, j)?;
+    let own = own_inertia(context, j);
+    let a = axis(&own).ok_or_else(|| BadInput::new(format!("joint {}: found no axis; expected one", j + 1)))?;
     // The coordinate direction least along the axis, made perpendicular to it.
     let e = [Vec3::x(), Vec3::y(), Vec3::z()][a.iamin()];
     let across = (e - a * a.dot(&e)).normalize();
     let other = a.cross(&across);
-    let moment = |v: &Vec3| vec![("mx", v.x), ("my", v.y), ("mz", v.z)];
-    let inertia = vec![
-        ("Ixx", a.x * a.x),
-        ("Ixy", a.x * a.y),
-        ("Ixz", a.x * a.z),
-        ("Iyy", a.y * a.y),
-        ("Iyz", a.y * a.z),
-        ("Izz", a.z * a.z),
-    ];
-    Ok([inertia, moment(&across), moment(&other)])
+    let inertia = |size: f64| {
+        let m = a * a.transpose() * size;
+        [("Ixx", m.m11), ("Ixy", m.m12), ("Ixz", m.m13), ("Iyy", m.m22), ("Iyz", m.m23), ("Izz", m.m33)].to_vec()
+    };
+    let moment = |v: &Vec3| {
+        let brought = v.x * own("mx") + v.y * own("my") + v.z * own("mz");
+        [inertia(-brought), vec![("mx", v.x), ("my", v.y), ("mz", v.z)]].concat()
+    };
+    Ok([inertia(1.0), moment(&across), moment(&other)])
 }
 
-/// Axis of joint `j` in its link's frame, up to its sign. With nothing but q̈_j = 1 the link's angular
-/// acceleration is the axis, and the joint's own inertia columns are its products.
-fn axis(context: &EffectContext<'_>, j: usize) -> Result<Vec3, BadInput> {
+/// What a unit of each of link `j`'s parameters adds to the inertia about its own axis, by symbol: its
+/// regressor with nothing but q̈_j = 1, without gravity.
+fn own_inertia(context: &EffectContext<'_>, j: usize) -> impl Fn(&str) -> f64 {
     let (n, p) = (context.joint_count(), context.pi.len());
-    let unknown = || BadInput::new(format!("joint {}: found no axis; expected one that turns", j + 1));
-    let mut unit = [0.0; MAX_JOINTS];
-    unit[j] = 1.0;
     let zero = [0.0; MAX_JOINTS];
+    let mut unit = zero;
+    unit[j] = 1.0;
     let motion = Motion { q_rad: &zero[..n], qd_rad_s: &zero[..n], qdd_rad_s2: &unit[..n] };
     let mut y = vec![0.0; n * p];
-    context.body.with_gravity([0.0; 3]).regressor(&motion, &mut y).map_err(|_| unknown())?;
-    let column = |symbol| context.index_of(symbol, j).and_then(|k| y.get(j * p + k)).copied().unwrap_or(0.0);
-    let squares = Vec3::new(column("Ixx"), column("Iyy"), column("Izz"));
+    if context.body.with_gravity([0.0; 3]).regressor(&motion, &mut y).is_err() {
+        y.fill(0.0);
+    }
+    move |symbol| context.index_of(symbol, j).and_then(|k| y.get(j * p + k)).copied().unwrap_or(0.0)
+}
+
+/// Axis of a joint in its link's frame, up to its sign. With nothing but q̈_j = 1 the link's angular
+/// acceleration is the axis, and the joint's own inertia columns are its products.
+fn axis(own: &impl Fn(&str) -> f64) -> Option<Vec3> {
+    let squares = Vec3::new(own("Ixx"), own("Iyy"), own("Izz"));
     // The row of a aᵀ through its largest diagonal entry points along the axis. Off-diagonal parameters stand
     // for two entries of the inertia.
-    let (xy, xz, yz) = (0.5 * column("Ixy"), 0.5 * column("Ixz"), 0.5 * column("Iyz"));
+    let (xy, xz, yz) = (0.5 * own("Ixy"), 0.5 * own("Ixz"), 0.5 * own("Iyz"));
     let row = match squares.imax() {
         0 => Vec3::new(squares.x, xy, xz),
         1 => Vec3::new(xy, squares.y, yz),
         _ => Vec3::new(xz, yz, squares.z),
     };
-    row.try_normalize(1e-9).ok_or_else(unknown)
+    row.try_normalize(1e-9)
 }

@@ -16,9 +16,9 @@ pub(super) static EFFECT: Effect = Effect {
         ParameterSpec::shape("k", "Nm/rad", "stiffness of the flanks", (1.0, 1e9), 3e4)
             .or(3e4)
             .searched(&[1e4, 3e4, 1e5]),
-        ParameterSpec::shape("zeta", "1", "damping ratio of the contact", (0.0, 2.0), 0.05)
-            .or(0.05)
-            .searched(&[0.02, 0.05, 0.2]),
+        ParameterSpec::shape("zeta", "1", "damping ratio of the contact", (0.0, 2.0), 0.2)
+            .or(0.2)
+            .searched(&[0.05, 0.2, 0.5]),
     ],
     scope: Scope::Joint,
     robots: Robots::Any,

@@ -123,7 +123,7 @@ impl Base {
                     .collect()
             })
             .collect();
-        push(scene, &mut self.columns, BaseRole::Tolerance("torque delay".into()), late);
+        push(scene, &mut self.columns, BaseRole::Tolerance(crate::search::DELAY.into()), late);
     }
 }
 

@@ -26,6 +26,8 @@ pub struct Context<'a> {
     pub range: Vec<(f64, f64)>,
     /// Link-side inertia of each joint at its median pose [kg m²]; 0 if the robot file has no masses.
     pub inertia: Vec<f64>,
+    /// Rotor inertia of each joint at the joint side [kg m²].
+    pub rotor: Vec<f64>,
 }
 
 /// How a shape parameter is searched.
@@ -53,12 +55,14 @@ pub struct Family {
     pub driven: bool,
     /// One candidate may stand for all joints.
     pub whole_robot: bool,
+    /// It comes and goes: found by `events`, not by columns.
+    pub event: bool,
     shapes: fn(&Context<'_>, usize) -> Vec<ShapeRange>,
 }
 
 /// Effects that the search takes as columns; payload in carries and collisions are found by their events.
 pub fn all() -> Vec<Family> {
-    let list: [(&str, &'static [&'static str], &str, fn(&Context<'_>, usize) -> Vec<ShapeRange>); 29] = [
+    let list: [(&str, &'static [&'static str], &str, fn(&Context<'_>, usize) -> Vec<ShapeRange>); 31] = [
         ("coulomb_asym", &["a_c"], "masses whole", none),
         ("stribeck", &["f_sc"], "whole", stribeck),
         ("viscous_power", &["a"], "whole", power),
@@ -88,6 +92,8 @@ pub fn all() -> Vec<Family> {
         ("ball_friction", &["mu"], "", none),
         ("ball_friction", &["b"], "", none),
         ("arm_inertia", &["I", "m_1", "m_2"], "masses whole", none),
+        ("payload", &["m"], "masses event", none),
+        ("collision", &["F_x", "F_y", "F_z"], "masses event", contact),
     ];
     list.into_iter()
         .filter_map(|(id, keep, traits, shapes)| {
@@ -99,6 +105,7 @@ pub fn all() -> Vec<Family> {
                 dynamic: has("dynamic"),
                 driven: has("driven"),
                 whole_robot: has("whole"),
+                event: has("event"),
                 shapes,
             })
         })
@@ -331,12 +338,14 @@ fn backlash(ctx: &Context<'_>, j: usize) -> Vec<ShapeRange> {
     }
     let band = ctx.scene.band_hz;
     vec![
-        ShapeRange { symbol: "b", grid: vec![4e-4, 9e-4, 1.8e-3, 3.6e-3], bounds: Some((1e-4, 2e-2)) },
+        // Screened, not gridded.
+        ShapeRange { symbol: "b", grid: vec![1e-3], bounds: Some((1e-4, 2e-2)) },
         ShapeRange {
             symbol: "k",
             grid: vec![stiffness(ctx, j, 1.2 * band)],
             bounds: Some((stiffness(ctx, j, 0.4 * band), stiffness(ctx, j, 4.0 * band))),
         },
+        ShapeRange { symbol: "zeta", grid: vec![0.04], bounds: Some((0.005, 0.5)) },
     ]
 }
 
@@ -379,6 +388,13 @@ fn cable(ctx: &Context<'_>, j: usize) -> Vec<ShapeRange> {
     let (low, high) = ctx.range[j];
     let at = |t: f64| low + t * (high - low);
     one("q_0", vec![at(0.0), at(0.25), at(0.5), at(0.75), at(1.0)], (at(-0.5), at(1.5)))
+}
+
+fn contact(_: &Context<'_>, _: usize) -> Vec<ShapeRange> {
+    vec![
+        ShapeRange { symbol: "t_0", grid: vec![0.0], bounds: None },
+        ShapeRange { symbol: "T", grid: vec![0.04], bounds: None },
+    ]
 }
 
 /// Link-side inertia of each joint at its median pose.

@@ -4,11 +4,13 @@
 //! [`diagnose`] takes recordings in memory and returns [`Outcome`]; nothing here touches files or clocks.
 
 pub mod base;
+pub mod events;
 pub mod families;
 pub mod findings;
 pub mod gram;
 mod report;
 pub mod scene;
+pub mod screen;
 pub mod search;
 pub mod select;
 
@@ -18,6 +20,7 @@ use lacuna_interfaces::{BadInput, ModelFile, Recording, RobotFile};
 pub use scene::Conditioning;
 use scene::Scene;
 use search::{Limits, Search};
+use select::Seed;
 
 /// What is to be diagnosed.
 #[derive(Debug, Clone)]
@@ -51,22 +54,41 @@ pub struct Outcome {
 /// [`BadInput`] if robot file or recordings cannot be used.
 pub fn diagnose(options: &Options, progress: &mut dyn FnMut(f64, &str)) -> Result<Outcome, BadInput> {
     progress(0.0, "conditioning the recordings");
-    let scene = Scene::new(&options.robot, options.urdf.as_deref(), &options.recordings, &options.conditioning)?;
-    progress(0.1, "fitting the base");
-    let base = Base::nominal(&scene);
+    let mut scene = Scene::new(&options.robot, options.urdf.as_deref(), &options.recordings, &options.conditioning)?;
     let families = families::all();
-    let floor_nm = floor(&scene, &base);
-    let limits = Limits { entry: vec![25.0; families.len()], column: 6.0, floor_nm, most: 10 };
-    let search = Search::new(&scene, &families, base.target.clone(), limits);
     let unusable = || BadInput::new("recordings: the regression is singular; expected recordings with more motion");
-    let selection = search.select(&base, progress).ok_or_else(unusable)?;
-    report::outcome(&scene, &base, &search, &selection).ok_or_else(unusable)
+    let mut seeds: Vec<Seed> = Vec::new();
+    // What is found may say that some stretches must not count; then the search is run again without them.
+    for last in [false, false, true] {
+        progress(0.1, "fitting the base");
+        let base = Base::nominal(&scene);
+        let noise_nm = report::noise_floor(&scene);
+        let floor_nm = floor(&scene, &base, &noise_nm);
+        let limits = Limits { entry: vec![25.0; families.len()], column: 6.0, floor_nm, noise_nm, most: 10 };
+        let search = Search::new(&scene, &families, base.target.clone(), limits);
+        let selection = search.select(&base, &seeds, progress).ok_or_else(unusable)?;
+        if selection.blank.is_empty() || last {
+            return report::outcome(&scene, &base, &search, &selection).ok_or_else(unusable);
+        }
+        seeds = selection
+            .model
+            .atoms
+            .iter()
+            .filter(|a| families[a.family].driven || !a.carries.is_empty())
+            .map(|a| Seed { family: a.family, joint: a.joint, shape: a.shape.clone(), carries: a.carries.clone() })
+            .collect();
+        let blank = selection.blank.clone();
+        progress(0.1, &format!("again without {} stretches", blank.len()));
+        drop(selection);
+        drop(search);
+        scene.blank(&blank);
+    }
+    Err(unusable())
 }
 
 /// Smallest torque that counts as a finding, per joint [Nm]: a share of the noise in the band and of the
 /// torque's size.
-fn floor(scene: &Scene, base: &Base) -> Vec<f64> {
-    let noise = report::noise_floor(scene);
+fn floor(scene: &Scene, base: &Base, noise: &[f64]) -> Vec<f64> {
     (0..scene.joints)
         .map(|j| {
             let count = scene.mask[j].iter().filter(|m| **m).count().max(1) as f64;

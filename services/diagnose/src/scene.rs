@@ -103,6 +103,8 @@ pub struct Scene {
     pub folds: Vec<Range<usize>>,
     /// Which rows count, per joint.
     pub mask: Vec<Vec<bool>>,
+    /// Rows in which contacts are looked for.
+    pub quiet: Vec<bool>,
     /// Speed below which a joint's friction is in doubt [rad/s].
     pub slow_rad_s: Vec<f64>,
     /// What was repaired.
@@ -188,6 +190,7 @@ impl Scene {
             rows,
             folds: Vec::new(),
             mask: Vec::new(),
+            quiet: vec![true; rows],
             slow_rad_s: Vec::new(),
             repairs,
             filter,
@@ -263,6 +266,27 @@ impl Scene {
             }
         }
         mask
+    }
+
+    /// Low-passes a full-rate signal as torques and regressors are; false if it cannot be.
+    pub fn smooth(&self, signal: &mut [f64]) -> bool {
+        self.filter.apply_in_place(signal).is_ok()
+    }
+
+    /// Rows within these stretches (time since switch-on, from, to) stop counting; contacts are not looked for
+    /// within 0.3 s of them.
+    pub fn blank(&mut self, stretches: &[(f64, f64)]) {
+        for piece in &self.pieces {
+            for (i, row) in piece.rows.clone().enumerate() {
+                let t = piece.global_s + (i * self.stride) as f64 / self.rate_hz;
+                if stretches.iter().any(|(a, b)| (*a..=*b).contains(&t)) {
+                    self.mask.iter_mut().for_each(|m| m[row] = false);
+                }
+                if stretches.iter().any(|(a, b)| (a - 0.23..=b + 0.23).contains(&t)) {
+                    self.quiet[row] = false;
+                }
+            }
+        }
     }
 
     /// Filters signals and keeps the rows; rows that do not count become 0.

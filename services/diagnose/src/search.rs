@@ -52,6 +52,8 @@ pub struct Atom {
     pub columns: Vec<Column>,
     /// Acts in full, without an amplitude.
     pub fixed: bool,
+    /// Times in which it acts, if it comes and goes: from, to since switch-on [s].
+    pub carries: Vec<(f64, f64)>,
 }
 
 impl Atom {
@@ -145,10 +147,14 @@ pub struct Limits {
     pub column: f64,
     /// Smallest contribution that counts, per joint [Nm].
     pub floor_nm: Vec<f64>,
+    /// What noise leaves in the band, per joint [Nm].
+    pub noise_nm: Vec<f64>,
     /// Most terms.
     pub most: usize,
 }
 
+/// Name of the tolerance of half a sample of delay.
+pub const DELAY: &str = "torque delay";
 /// Share of the prior's limit at which a tolerance is taken to be one standard deviation.
 const TOLERANCE_SD: f64 = 0.5;
 
@@ -192,11 +198,15 @@ impl<'a> Search<'a> {
     }
 
     /// Prior precision of the columns of `model`.
-    fn precision(&self, model: &Model) -> Vec<f64> {
+    fn precision(&self, model: &Model, more: &[&Atom]) -> Vec<f64> {
+        let late = |a: &Atom| self.families[a.family].id() == "torque_delay";
+        let delayed = model.atoms.iter().any(late) || more.iter().any(|a| late(a));
         let mut out: Vec<f64> = model
             .free_base()
             .into_iter()
-            .map(|i| match model.base[i].role {
+            .map(|i| match &model.base[i].role {
+                // One delay at a time: beside the effect the half sample of tolerance would fit differences of both.
+                BaseRole::Tolerance(name) if name == DELAY && delayed => 1e12,
                 BaseRole::Tolerance(_) => TOLERANCE_SD.powi(-2),
                 _ => 0.0,
             })
@@ -215,7 +225,7 @@ impl<'a> Search<'a> {
         }
         let columns = model.columns();
         let gram = Gram::new(&self.layout, &target, &columns);
-        let precision = self.precision(model);
+        let precision = self.precision(model, &[]);
         let n = self.scene.joints;
         let mut weights: Vec<f64> = (0..n)
             .map(|j| {
@@ -277,7 +287,7 @@ impl<'a> Search<'a> {
         for slot in (size - fixed.len()..size).rev() {
             gram = gram.absorbed(slot);
         }
-        let mut precision = state.precision.clone();
+        let mut precision = self.precision(model, atoms);
         precision.extend(free.iter().map(|_| 0.0));
         let fit = gram.fit(&self.layout, &state.weights, &precision)?;
         let amplitude = fit.beta[state.fit.beta.len()..].to_vec();
@@ -315,7 +325,7 @@ impl<'a> Search<'a> {
         let raws = self.families[family].raws(ctx, joint, shape);
         let columns = raws.iter().map(|r| self.scene.column(r.clone())).collect();
         let fixed = self.families[family].fixed();
-        Atom { family, joint, shape: shape.to_vec(), raws, columns, fixed }
+        Atom { family, joint, shape: shape.to_vec(), raws, columns, fixed, carries: Vec::new() }
     }
 
     /// Refines the shape of `atom`, which is not in the model, by golden sections, one parameter at a time.
@@ -331,8 +341,8 @@ impl<'a> Search<'a> {
             }
         };
         let mut best_value = value(&best);
-        let mut spread = 1.6f64;
-        for _ in 0..2 {
+        let mut spread = if family.driven { 1.12f64 } else { 1.6 };
+        for _ in 0..if family.driven { 3 } else { 2 } {
             for (i, bound) in bounds.iter().enumerate() {
                 let Some((low, high)) = bound else { continue };
                 // Bounds of one sign are searched in ratios, others in differences.
@@ -377,7 +387,7 @@ impl<'a> Search<'a> {
     /// Candidates at all shapes, as `(family, joints, shape)`.
     pub fn candidates(&self, ctx: &Context<'_>, wanted: impl Fn(&Family) -> bool) -> Vec<(usize, usize, Vec<f64>)> {
         let mut out = Vec::new();
-        for (f, family) in self.families.iter().enumerate().filter(|(_, f)| wanted(f)) {
+        for (f, family) in self.families.iter().enumerate().filter(|(_, f)| !f.event && wanted(f)) {
             let joints = if family.per_joint() { self.scene.joints } else { 1 };
             for j in 0..joints {
                 out.extend(family.grid(ctx, j).into_iter().map(|shape| (f, j, shape)));

@@ -26,8 +26,26 @@ pub struct Selection {
     pub model: Model,
     /// Its fit.
     pub state: State,
+    /// Stretches whose rows must not count because of what was found: the search is to be run again.
+    pub blank: Vec<(f64, f64)>,
     /// Candidates of the last round that were not taken, best first, one per family.
     pub excluded: Vec<Ranked>,
+}
+
+/// How long a link may swing on after the beginning of a recording [s].
+const SWING_S: f64 = 0.4;
+
+/// A term that an earlier run found.
+#[derive(Debug, Clone)]
+pub struct Seed {
+    /// Family.
+    pub family: usize,
+    /// Joint.
+    pub joint: usize,
+    /// Shape.
+    pub shape: Vec<f64>,
+    /// Times in which it acts.
+    pub carries: Vec<(f64, f64)>,
 }
 
 /// Facts about the recordings that candidates need, with the present model's torque.
@@ -90,6 +108,7 @@ pub fn context<'a>(scene: &'a Scene, base: &Base, search: &Search<'_>, model: &M
             .map(|j| (quantile(&|p| &p.q[j], 0.0, false), quantile(&|p| &p.q[j], 1.0, false)))
             .collect(),
         inertia,
+        rotor,
     }
 }
 
@@ -192,6 +211,94 @@ impl Search<'_> {
         out
     }
 
+    /// Puts terms that an earlier run found into the model.
+    fn plant(&self, ctx: &Context<'_>, base: &Base, seeds: &[Seed], model: &mut Model, state: &mut State) -> Option<()> {
+        for seed in seeds {
+            let mut atom = self.atom(ctx, seed.family, seed.joint, &seed.shape);
+            if !seed.carries.is_empty() {
+                atom = self.carry_atom(&atom, &seed.carries);
+            }
+            model.atoms.push(atom);
+        }
+        if seeds.is_empty() {
+            return Some(());
+        }
+        *state = self.fit(model)?;
+        for _ in 0..2 {
+            let ctx = context(self.scene, base, self, model, Some(state));
+            self.refresh(&ctx, model, state)?;
+            for i in 0..model.atoms.len() {
+                let atom = model.atoms[i].clone();
+                if !self.families[atom.family].driven {
+                    continue;
+                }
+                model.atoms.remove(i);
+                let without = self.fit(model)?;
+                let better = self.refine(&ctx, model, &without, &atom);
+                model.atoms.insert(i, better);
+                *state = self.fit(model)?;
+            }
+        }
+        Some(())
+    }
+
+    /// Stretches that stop counting because of terms that were not among the `seeds`: where a payload is
+    /// picked or placed, and the beginning of recordings of a soft robot that is moving already, whose swing
+    /// at that time is not known.
+    fn blanks(&self, model: &Model, seeds: &[Seed]) -> Vec<(f64, f64)> {
+        let mut out = Vec::new();
+        for atom in &model.atoms {
+            let family = &self.families[atom.family];
+            if seeds.iter().any(|s| s.family == atom.family) {
+                continue;
+            }
+            out.extend(atom.carries.iter().flat_map(|(a, b)| [*a, *b]).map(|t| (t - 0.07, t + 0.07)));
+            if family.driven {
+                out.extend(self.scene.pieces.iter().map(|p| (p.global_s, p.global_s + SWING_S)));
+            }
+        }
+        out
+    }
+
+    /// Whether a candidate takes most of the residual where it is largest.
+    fn explains(&self, state: &State, r: &Ranked) -> bool {
+        let rms = self.held_out_rms(state);
+        let over = |j: usize| rms[j] / self.limits.noise_nm[j].max(1e-30);
+        let worst = (0..rms.len()).max_by(|a, b| over(*a).total_cmp(&over(*b))).unwrap_or(0);
+        r.merit > 0.0 && r.score.size_nm[worst] > 0.9 * rms[worst]
+    }
+
+    /// Elastic joints and backlash, where a residual is large enough to be one: they are dear to simulate.
+    fn driven(&self, ctx: &Context<'_>, model: &Model, state: &State, screen: bool) -> Vec<Atom> {
+        let n = self.scene.joints;
+        let rms = self.held_out_rms(state);
+        let most = rms.iter().copied().fold(0.0, f64::max);
+        let joints: Vec<usize> =
+            (0..n).filter(|j| rms[*j] > 2.5 * self.limits.noise_nm[*j] && rms[*j] > 0.7 * most).collect();
+        let mut list = Vec::new();
+        let residual = self.residual(model, state);
+        for (f, family) in self.families.iter().enumerate().filter(|(_, f)| f.driven) {
+            for j in &joints {
+                let shapes = match family.id() {
+                    "backlash" if screen && ctx.inertia[*j] > 0.0 && ctx.nominal_base => {
+                        self.screen_backlash(ctx, &residual, *j)
+                    }
+                    "backlash" => Vec::new(),
+                    _ => family.grid(ctx, *j),
+                };
+                list.extend(shapes.into_iter().map(|s| (f, *j, s)));
+            }
+        }
+        self.build(ctx, list)
+    }
+
+    /// Held-out residual per joint [Nm].
+    pub fn held_out_rms(&self, state: &State) -> Vec<f64> {
+        (0..self.scene.joints)
+            .map(|j| (state.fit.held_out_joint(j) / self.layout.joint_count(j).max(1.0)).sqrt())
+            .collect()
+    }
+
     /// Refines the shapes of a candidate one term after the other.
     fn refined(&self, ctx: &Context<'_>, model: &Model, state: &State, ranked: &Ranked) -> Ranked {
         let mut atoms = Vec::new();
@@ -205,10 +312,79 @@ impl Search<'_> {
     }
 
     /// The whole search.
-    pub fn select(&self, base: &Base, progress: &mut dyn FnMut(f64, &str)) -> Option<Selection> {
+    pub fn select(&self, base: &Base, seeds: &[Seed], progress: &mut dyn FnMut(f64, &str)) -> Option<Selection> {
         let mut model = Model { base: base.columns.clone(), clamped: Vec::new(), atoms: Vec::new() };
         let mut state = self.fit(&mut model)?;
         self.tell(&model, &state, progress);
+        let start = context(self.scene, base, self, &model, Some(&state));
+        self.plant(&start, base, seeds, &mut model, &mut state)?;
+        if !seeds.is_empty() {
+            self.tell(&model, &state, progress);
+        }
+        progress(0.2, "building candidates");
+        let fixed = self.build(&start, self.candidates(&start, |f| !f.dynamic));
+        let mut excluded = Vec::new();
+        let mut ctx = context(self.scene, base, self, &model, Some(&state));
+        let mut banned: Vec<(usize, usize)> = Vec::new();
+        for step in 0..self.limits.most {
+            let mut pool = fixed.clone();
+            pool.extend(self.build(&ctx, self.candidates(&ctx, |f| f.dynamic && !f.driven)));
+            pool.retain(|a| !banned.contains(&(a.family, a.joint)));
+            let carries = self.carries(&ctx, &model, &state);
+            let settled = carries.as_ref().is_some_and(|c| self.explains(&state, c));
+            let mut ranked = if settled { Vec::new() } else { self.round(&ctx, &model, &state, &pool) };
+            // Soft joints are dear to simulate: only where nothing plain explains most of it.
+            let driven = model.atoms.iter().any(|a| self.families[a.family].driven);
+            if !settled && !driven && !ranked.iter().any(|r| self.explains(&state, r)) {
+                let pool = self.driven(&ctx, &model, &state, step == 0);
+                ranked.extend(self.round(&ctx, &model, &state, &pool));
+                ranked.sort_by(|a, b| b.merit.total_cmp(&a.merit));
+            }
+            // Shapes are refined before the choice: a sharp law judged off its shape loses to a blunt one.
+            let mut top: Vec<Ranked> = Vec::new();
+            for r in &ranked {
+                let key = |r: &Ranked| (r.atoms[0].family, r.atoms.len(), r.atoms[0].joint);
+                if top.len() < 6 && !top.iter().any(|t| key(t) == key(r)) {
+                    top.push(r.clone());
+                }
+            }
+            let mut top: Vec<Ranked> = top.par_iter().map(|r| self.refined(&ctx, &model, &state, r)).collect();
+            top.extend(carries);
+            top.extend(self.contact(&ctx, &model, &state));
+            top.sort_by(|a, b| b.merit.total_cmp(&a.merit));
+            for t in &top {
+                progress(
+                    0.3 + 0.4 * step as f64 / self.limits.most as f64,
+                    &format!("  ? {} {}", self.label(t), self.numbers(t)),
+                );
+            }
+            let Some(best) = top.into_iter().find(|r| self.counts(r)) else {
+                excluded = std::mem::take(&mut ranked);
+                break;
+            };
+            progress(0.3 + 0.4 * step as f64 / self.limits.most as f64, &format!("+ {}", self.label(&best)));
+            let mut next = model.clone();
+            next.atoms.extend(best.atoms.iter().cloned());
+            let mut next_state = self.fit(&mut next)?;
+            let next_ctx = context(self.scene, base, self, &next, Some(&next_state));
+            self.refresh(&next_ctx, &mut next, &mut next_state)?;
+            // What looked good in passing must be good once all else is fitted beside it.
+            let kept = self.compare(&state, &state.fit, &next_state.fit, Vec::new()).gain;
+            if kept < 0.3 * best.score.gain {
+                progress(0.3, &format!("  taken back: {kept:.1} of {:.1} nats are left", best.score.gain));
+                banned.extend(best.atoms.iter().map(|a| (a.family, a.joint)));
+                continue;
+            }
+            (model, state) = (next, next_state);
+            self.prune(&mut model, &mut state, progress)?;
+            ctx = context(self.scene, base, self, &model, Some(&state));
+            self.tell(&model, &state, progress);
+            let blank = self.blanks(&model, seeds);
+            if !blank.is_empty() {
+                return Some(Selection { model, state, blank, excluded });
+            }
+        }
+        self.prune(&mut model, &mut state, progress)?;
         if let Ok(path) = std::env::var("DUMP") {
             let r = self.residual(&model, &state);
             let mut text = String::new();
@@ -222,52 +398,12 @@ impl Search<'_> {
             }
             let _ = std::fs::write(path, text);
         }
-        let start = context(self.scene, base, self, &model, Some(&state));
-        progress(0.2, "building candidates");
-        let fixed = self.build(&start, self.candidates(&start, |f| !f.dynamic));
-        let mut excluded = Vec::new();
-        let mut ctx = start;
-        for step in 0..self.limits.most {
-            let mut pool = fixed.clone();
-            pool.extend(self.build(&ctx, self.candidates(&ctx, |f| f.dynamic)));
-            let mut ranked = self.round(&ctx, &model, &state, &pool);
-            // Shapes are refined before the choice: a sharp law judged off its shape loses to a blunt one.
-            let mut top: Vec<Ranked> = Vec::new();
-            for r in &ranked {
-                let key = |r: &Ranked| (r.atoms[0].family, r.atoms.len(), r.atoms[0].joint);
-                if top.len() < 6 && !top.iter().any(|t| key(t) == key(r)) {
-                    top.push(r.clone());
-                }
-            }
-            let mut top: Vec<Ranked> = top.par_iter().map(|r| self.refined(&ctx, &model, &state, r)).collect();
-            top.sort_by(|a, b| b.merit.total_cmp(&a.merit));
-            for t in &top {
-                progress(
-                    0.3 + 0.4 * step as f64 / self.limits.most as f64,
-                    &format!("  ? {} {}", self.label(t), self.numbers(t)),
-                );
-            }
-            let Some(best) = top.into_iter().find(|r| self.counts(r)) else {
-                excluded = std::mem::take(&mut ranked);
-                break;
-            };
-            progress(0.3 + 0.4 * step as f64 / self.limits.most as f64, &format!("+ {}", self.label(&best)));
-            model.atoms.extend(best.atoms);
-            state = self.fit(&mut model)?;
-            self.prune(&mut model, &mut state, progress)?;
-            ctx = context(self.scene, base, self, &model, Some(&state));
-            self.refresh(&ctx, &mut model, &mut state)?;
-            self.tell(&model, &state, progress);
-        }
-        self.prune(&mut model, &mut state, progress)?;
-        Some(Selection { model, state, excluded })
+        Some(Selection { model, state, blank: Vec::new(), excluded })
     }
 
     /// Tells the residual and what the tolerances took.
     fn tell(&self, model: &Model, state: &State, progress: &mut dyn FnMut(f64, &str)) {
-        let rms: Vec<f64> = (0..self.scene.joints)
-            .map(|j| (state.fit.held_out_joint(j) / self.layout.joint_count(j).max(1.0)).sqrt())
-            .collect();
+        let rms = self.held_out_rms(state);
         let mut values: Vec<String> = Vec::new();
         for (slot, i) in model.free_base().into_iter().enumerate() {
             if let BaseRole::Tolerance(name) = &model.base[i].role {
@@ -304,7 +440,7 @@ impl Search<'_> {
                 let loss = self.compare(state, &fit, &state.fit, Vec::new());
                 let size = loss.size_nm.iter().zip(&self.limits.floor_nm).map(|(s, f)| s / f).fold(0.0, f64::max);
                 let merit = loss.gain - self.limits.column * atom.width() as f64 - 0.5 * self.limits.entry[atom.family];
-                let merit = if size < 0.8 { merit.min(-1.0) } else { merit };
+                let merit = if size < 0.8 && !self.families[atom.family].event { merit.min(-1.0) } else { merit };
                 if merit < 0.0 && worst.is_none_or(|(_, w)| merit < w) {
                     worst = Some((i, merit));
                 }

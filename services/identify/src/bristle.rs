@@ -9,6 +9,7 @@ use crate::condition::{BRISTLE_WIDTHS_RAD, Conditioned};
 use crate::fit::{Solution, predict};
 use crate::rows::{Rows, bristle_column};
 use lacuna_interfaces::BadInput;
+use rayon::prelude::*;
 
 /// A bristle must take this share off the squared residual, in each half of the rows, to be preferred to the sign of
 /// the velocity.
@@ -27,43 +28,70 @@ pub fn choose(
     solution: &Solution,
 ) -> Result<Vec<Option<f64>>, BadInput> {
     let n = rows.joints.len();
+    let shared: &Rows = rows;
+    let found: Vec<Option<Choice>> = (0..n)
+        .into_par_iter()
+        .map(|j| best(structure, conditioned, shared, train, solution, j))
+        .collect::<Result<_, _>>()?;
     let mut widths = vec![None; n];
-    for j in 0..n {
-        let active = &structure.active[j];
-        let coulomb = |b: &usize| structure.columns[structure.base[*b].column].term == Term::Coulomb(j);
-        let Some(slot) = active.iter().position(coulomb) else { continue };
-        let f_c = solution.beta[active[slot]];
-        let model = predict(structure, rows, &solution.beta, j);
-        let joint = &rows.joints[j];
-        let sign: Vec<f64> = joint.column(slot, active.len()).collect();
-        let used: Vec<usize> = (0..rows.len()).filter(|&k| train[k] && joint.counted[k]).collect();
-        let rest: Vec<f64> = used.iter().map(|&k| joint.y[k] - model[k] + f_c * sign[k]).collect();
-        let half = used.len() / 2;
-        let halves = |c: &[f64]| {
-            [misfit(&rest[..half], &used[..half], c), misfit(&rest[half..], &used[half..], c)]
-        };
-        let by_sign = halves(&sign);
-        let mut best = (1.0 - WORTH) * misfit(&rest, &used, &sign);
-        let mut chosen = None;
-        for width in 0..BRISTLE_WIDTHS_RAD.len() {
-            let column = bristle_column(conditioned, j, width)?;
-            if column.len() != rows.len() {
-                break;
-            }
-            let left = misfit(&rest, &used, &column);
-            let worth = halves(&column).iter().zip(by_sign).all(|(a, b)| *a < (1.0 - WORTH) * b);
-            if left < best && worth {
-                (best, chosen) = (left, Some((width, column)));
-            }
-        }
-        if let Some((width, column)) = chosen {
-            widths[j] = Some(BRISTLE_WIDTHS_RAD[width]);
-            for (entry, v) in rows.joints[j].x.iter_mut().skip(slot).step_by(active.len()).zip(column) {
-                *entry = v;
-            }
+    for (j, choice) in found.into_iter().enumerate() {
+        let Some(Choice { width, slot, column }) = choice else { continue };
+        widths[j] = Some(width);
+        for (entry, v) in rows.joints[j].x.iter_mut().skip(slot).step_by(structure.active[j].len()).zip(column) {
+            *entry = v;
         }
     }
     Ok(widths)
+}
+
+/// A better Coulomb column for a joint.
+struct Choice {
+    width: f64,
+    slot: usize,
+    column: Vec<f64>,
+}
+
+fn best(
+    structure: &Structure,
+    conditioned: &[Conditioned],
+    rows: &Rows,
+    train: &[bool],
+    solution: &Solution,
+    j: usize,
+) -> Result<Option<Choice>, BadInput> {
+    let active = &structure.active[j];
+    let coulomb = |b: &usize| structure.columns[structure.base[*b].column].term == Term::Coulomb(j);
+    let Some(slot) = active.iter().position(coulomb) else { return Ok(None) };
+    let f_c = solution.beta[active[slot]];
+    let model = predict(structure, rows, &solution.beta, j);
+    let joint = &rows.joints[j];
+    let sign: Vec<f64> = joint.column(slot, active.len()).collect();
+    let used: Vec<usize> = (0..rows.len()).filter(|&k| train[k] && joint.counted[k]).collect();
+    let rest: Vec<f64> = used.iter().map(|&k| joint.y[k] - model[k] + f_c * sign[k]).collect();
+    let half = used.len() / 2;
+    let misfits = |c: &[f64]| {
+        [
+            misfit(&rest, &used, c),
+            misfit(&rest[..half], &used[..half], c),
+            misfit(&rest[half..], &used[half..], c),
+        ]
+    };
+    let by_sign = misfits(&sign);
+    let mut least = by_sign[0];
+    let mut chosen = None;
+    for (index, &width) in BRISTLE_WIDTHS_RAD.iter().enumerate() {
+        let column = bristle_column(conditioned, j, index)?;
+        if column.len() != rows.len() {
+            break;
+        }
+        let found = misfits(&column);
+        let worth = found.iter().zip(by_sign).all(|(a, b)| *a < (1.0 - WORTH) * b);
+        if worth && found[0] < least {
+            least = found[0];
+            chosen = Some(Choice { width, slot, column });
+        }
+    }
+    Ok(chosen)
 }
 
 /// Squared residual of `rest` after regression on the used entries of `column`.

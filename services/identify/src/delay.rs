@@ -5,10 +5,10 @@
 //! explain as well. The standard error comes from the scores of the blocks.
 
 use crate::base::Structure;
-use crate::fit::{Solution, predict};
+use crate::fit::{Solution, block_spans, predict};
 use crate::rows::Rows;
 use lacuna_estimation::filter::{Stencil, differentiate};
-use lacuna_estimation::least_squares::{Gram, Statistics};
+use lacuna_estimation::least_squares::{Gram, Statistics, accumulate};
 use serde::{Deserialize, Serialize};
 
 /// What to do about a delay between torque and position.
@@ -45,26 +45,32 @@ pub fn estimate(
 ) -> Option<DelayEstimate> {
     let p = solution.excited.len();
     // Column p is the model torque's rate, so that one Gram matrix holds both regressor and rate.
-    let mut blocks = vec![Gram::new(p + 1); rows.blocks];
-    for (j, active) in structure.active.iter().enumerate() {
-        let rate = torque_rate(rows, &predict(structure, rows, &solution.beta, j))?;
-        let data = &rows.joints[j];
-        let model = predict(structure, rows, &solution.beta, j);
-        let slots: Vec<Option<usize>> =
-            active.iter().map(|b| solution.excited.iter().position(|e| e == b)).collect();
-        let weight = [1.0 / (solution.sigma[j] * solution.sigma[j])];
-        let mut x = vec![0.0; p + 1];
-        for k in (0..rows.len()).filter(|&k| train[k] && data.fitted[k]) {
-            x.fill(0.0);
-            for (slot, v) in slots.iter().zip(&data.x[k * active.len()..(k + 1) * active.len()]) {
-                if let Some(s) = slot {
-                    x[*s] = *v;
+    let n = structure.active.len();
+    let model: Vec<Vec<f64>> = (0..n).map(|j| predict(structure, rows, &solution.beta, j)).collect();
+    let rate: Vec<Vec<f64>> = model.iter().map(|m| torque_rate(rows, m)).collect::<Option<_>>()?;
+    let place = |b: &usize| solution.excited.iter().position(|e| e == b);
+    let slots: Vec<Vec<Option<usize>>> = structure.active.iter().map(|a| a.iter().map(place).collect()).collect();
+    let spans = block_spans(rows);
+    let fill = |block: usize, gram: &mut Gram| {
+        let (mut x, mut y, mut w) = (Vec::new(), Vec::new(), Vec::new());
+        for (j, slots) in slots.iter().enumerate() {
+            let data = &rows.joints[j];
+            for k in spans[block].clone().filter(|&k| train[k] && data.fitted[k]) {
+                let at = x.len();
+                x.resize(at + p + 1, 0.0);
+                for (slot, v) in slots.iter().zip(&data.x[k * slots.len()..(k + 1) * slots.len()]) {
+                    if let Some(s) = slot {
+                        x[at + s] = *v;
+                    }
                 }
+                x[at + p] = rate[j][k];
+                y.push(data.y[k] - model[j][k]);
+                w.push(1.0 / (solution.sigma[j] * solution.sigma[j]));
             }
-            x[p] = rate[k];
-            blocks[rows.block[k]].add_rows(&x, &[data.y[k] - model[k]], Some(&weight)).ok()?;
         }
-    }
+        gram.add_rows(&x, &y, Some(&w))
+    };
+    let blocks = accumulate(rows.blocks, p + 1, fill).ok()?.blocks;
     let mut total = Gram::new(p + 1);
     blocks.iter().for_each(|b| total.merge(b));
     let own: Vec<usize> = (0..p).collect();

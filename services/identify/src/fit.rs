@@ -149,20 +149,19 @@ pub fn fit(structure: &Structure, rows: &Rows, train: &[bool], settings: FitSett
     let problem = Problem { structure, rows, used, spans: block_spans(rows) };
     let mut sigma: Vec<f64> = (0..count.len()).map(|j| problem.spread_of_torque(j)).collect();
     let mut huber: Option<Vec<Vec<f64>>> = None;
-    let (mut choice, mut condition_all) = problem.excited(&problem.sums(&sigma, None)?)?;
     let mut outliers = vec![0.0; count.len()];
-    let passes = if settings.robust { 3 } else { 2 };
-    for pass in 0..passes {
-        let sums = problem.sums(&sigma, huber.as_deref())?;
-        if pass == 1 {
-            // Weights are those of the noise now, no longer of the torque's size.
-            (choice, condition_all) = problem.excited(&sums)?;
-        }
+    // First with weights of the torque's size, then of the noise's, then with bounded influence.
+    let mut sums = problem.sums(&sigma, None)?;
+    let (mut choice, mut condition_all) = problem.excited(&sums)?;
+    for pass in 0..1 + usize::from(settings.robust) {
         let beta = problem.solve(&sums, &choice)?;
         let weights = problem.reweigh(&beta, &mut sigma, &mut outliers, huber.is_some());
         huber = settings.robust.then_some(weights);
+        sums = problem.sums(&sigma, huber.as_deref())?;
+        if pass == 0 {
+            (choice, condition_all) = problem.excited(&sums)?;
+        }
     }
-    let sums = problem.sums(&sigma, huber.as_deref())?;
     let size = problem.column_size();
     loop {
         let beta = problem.solve(&sums, &choice)?;
@@ -203,7 +202,8 @@ struct Problem<'a> {
     spans: Vec<Range<usize>>,
 }
 
-fn block_spans(rows: &Rows) -> Vec<Range<usize>> {
+/// Rows of every block.
+pub(crate) fn block_spans(rows: &Rows) -> Vec<Range<usize>> {
     let mut spans = vec![0..0; rows.blocks];
     let mut start = 0;
     for k in 1..=rows.len() {

@@ -142,8 +142,7 @@ pub fn identify_recordings(
     let mut split = Split::of(&data.rows, options, recordings.len(), ranges, &data.plan)?;
     let settings = FitSettings { robust: options.robust, standstill: false };
     progress(0.5, "fitting");
-    let mut solution = fit(&structure, &data.rows, &split.train, settings)?;
-    let mut widths = data.bristles(&structure, &split.train, &mut solution, settings)?;
+    let (mut solution, mut widths) = data.fit(&structure, &split.train, settings)?;
     let mut delay = None;
     if options.delay != Delay::Off {
         let undone = data.plan.torque_delay_s;
@@ -153,8 +152,7 @@ pub fn identify_recordings(
             let plan = Plan { torque_delay_s: late, ..data.plan.clone() };
             data = Data::new(robot, body, &structure, &recordings, plan, options.block_s)?;
             split = Split::of(&data.rows, options, recordings.len(), ranges, &data.plan)?;
-            solution = fit(&structure, &data.rows, &split.train, settings)?;
-            widths = data.bristles(&structure, &split.train, &mut solution, settings)?;
+            (solution, widths) = data.fit(&structure, &split.train, settings)?;
             delay = delay::estimate(&structure, &data.rows, &split.train, &solution, late);
         }
     }
@@ -305,22 +303,19 @@ impl Data {
 }
 
 impl Data {
-    /// Chooses the joints' bristles and fits again with them.
-    fn bristles(
+    /// Chooses the joints' bristles by a first, plain fit, and fits.
+    fn fit(
         &mut self,
         structure: &Structure,
         train: &[bool],
-        solution: &mut Solution,
         settings: FitSettings,
-    ) -> Result<Vec<Option<f64>>, BadInput> {
-        if !self.plan.bristle {
-            return Ok(vec![None; self.rows.joints.len()]);
+    ) -> Result<(Solution, Vec<Option<f64>>), BadInput> {
+        let mut widths = vec![None; self.rows.joints.len()];
+        if self.plan.bristle {
+            let first = fit(structure, &self.rows, train, FitSettings { robust: false, ..settings })?;
+            widths = bristle::choose(structure, &self.conditioned, &mut self.rows, train, &first)?;
         }
-        let widths = bristle::choose(structure, &self.conditioned, &mut self.rows, train, solution)?;
-        if widths.iter().any(Option::is_some) {
-            *solution = fit(structure, &self.rows, train, settings)?;
-        }
-        Ok(widths)
+        Ok((fit(structure, &self.rows, train, settings)?, widths))
     }
 }
 
@@ -407,11 +402,16 @@ fn hold_out(
     let (mut tally, mut bare, mut standing) = (Tally::default(), Tally::default(), Tally::default());
     let mut table: [Tally; 4] = Default::default();
     let mut folds = Vec::new();
+    let stands = rows.joints.iter().any(|j| {
+        let idle = j.usable.iter().zip(&j.counted).filter(|(u, c)| **u && !**c).count();
+        idle * 20 > rows.len()
+    });
     for fold in &split.folds {
         let same = fold.train == split.train;
         let settings = FitSettings { robust: options.robust, standstill: false };
         let own = if same { solution.clone() } else { fit(structure, rows, &fold.train, settings)? };
-        let rested = fit(structure, rows, &fold.train, FitSettings { standstill: true, ..settings })?;
+        let at_rest = FitSettings { standstill: true, ..settings };
+        let rested = if stands { Some(fit(structure, rows, &fold.train, at_rest)?) } else { None };
         let papers = if by_paper { Some(paper::fit(structure, rows, &fold.train, names)?.0) } else { None };
         let beta = papers.as_ref().map_or(&own.beta, |m| &m.with_friction);
         let scale = training_scale(rows, &fold.train);
@@ -425,7 +425,9 @@ fn hold_out(
             let predicted = add(&mut tally, beta, Which::Counted);
             add(&mut alone, beta, Which::Counted);
             add(&mut bare, &nominal, Which::Counted);
-            add(&mut standing, &rested.beta, Which::Usable);
+            if let Some(rested) = &rested {
+                add(&mut standing, &rested.beta, Which::Usable);
+            }
             if let Some(p) = &papers {
                 for (t, b) in table.iter_mut().zip([&p.nominal, &p.identified, &p.with_friction, &own.beta]) {
                     add(t, b, Which::Usable);
@@ -444,10 +446,6 @@ fn hold_out(
         BadInput::new("found no moving joint in the test rows; expected motion there (or a moving speed of 0)")
     })?;
     let has_masses = nominal.iter().any(|v| *v != 0.0);
-    let stands = rows.joints.iter().any(|j| {
-        let idle = j.usable.iter().zip(&j.counted).filter(|(u, c)| **u && !**c).count();
-        idle * 20 > rows.len()
-    });
     let paper = final_paper.map(|(models, mut result)| {
         result.table1 = account::error_tables(&["M_KH", "M_Id", "M_Id+F", "pooled"], &table);
         (models, result)
@@ -456,7 +454,7 @@ fn hold_out(
         score,
         folds,
         nominal: bare.score().map(|s| s.relative_error).filter(|_| has_masses),
-        with_standstill: standing.score().map(|s| s.relative_error).filter(|_| stands),
+        with_standstill: standing.score().map(|s| s.relative_error),
         model,
         held_out,
         paper,

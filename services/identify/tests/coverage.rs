@@ -15,9 +15,10 @@ const ROBOT: &str = "kind = \"delta\"\nname = \"coverage\"\n[geometry]\nl1 = 0.3
 /// (symbol, truth inside) of every fitted parameter of one repetition.
 fn repetition(seed: u64) -> Vec<(String, bool)> {
     let robot = RobotFile::parse(ROBOT).unwrap();
+    let group = |kind, count| TrajectoryGroup { kind, duration_s: 5.0, count, intensity: 0.8 };
     let config = SimulationConfig {
         seed,
-        trajectories: vec![TrajectoryGroup { kind: Kinds::default(), duration_s: 5.0, count: 4, intensity: 1.0 }],
+        trajectories: vec![group(Kinds::PointToPoint, 1), group(Kinds::Fourier, 2), group(Kinds::Sweep, 1)],
         ..SimulationConfig::default()
     };
     let simulation = simulate(&robot, None, &config).unwrap();

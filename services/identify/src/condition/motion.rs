@@ -2,9 +2,11 @@
 
 use super::signals::{Regular, Sampling};
 use super::{BRISTLE_WIDTHS_RAD, ORDER, Plan, ROW_RATE, Saturation, Stretch, WORKING_RATE, mask};
+use lacuna_estimation::EstimationError;
 use lacuna_estimation::filter::{Stencil, ZeroPhase, differentiate};
 use lacuna_interfaces::{BadInput, RobotFile};
 use lacuna_physics::effects::DirectionLaw;
+use rayon::prelude::*;
 
 /// Every how many recorded samples a working sample is taken.
 fn factor(plan: &Plan, sampling: &Sampling) -> usize {
@@ -47,44 +49,74 @@ pub(super) fn stretch(
 
     let low_pass = ZeroPhase::butterworth(ORDER, plan.position_band_hz, rate)?;
     let mut columns: Vec<&mut [f64]> = part.q.iter_mut().chain(part.tau.iter_mut()).map(Vec::as_mut_slice).collect();
-    low_pass.apply_columns(&mut columns)?;
-
-    let n = part.q.len();
-    let (mut qd, mut qdd, mut sign) = (Vec::with_capacity(n), Vec::with_capacity(n), Vec::with_capacity(n));
-    let (mut counted, mut fitted) = (Vec::with_capacity(n), Vec::with_capacity(n));
-    let mut bristles = Vec::with_capacity(n);
-    for (j, q) in part.q.iter().enumerate() {
-        let velocity = differentiate(q, 1.0 / rate, Stencil::Seven, 1)?;
-        let acceleration = differentiate(q, 1.0 / rate, Stencil::Seven, 2)?;
-        let ramp = DirectionLaw::Ramp { width_rad_s: plan.standstill_rad_s };
-        sign.push(mask::direction(q, &velocity, ramp, k));
-        let widths: &[f64] = if plan.bristle { &BRISTLE_WIDTHS_RAD } else { &[] };
-        let bristle = |&width_rad| DirectionLaw::Bristle { width_rad, kappa_s_rad: 0.0 };
-        bristles.push(widths.iter().map(|w| mask::direction(q, &velocity, bristle(w), k)).collect());
-        let (count, fit) = mask::moving(&velocity, &usable, &clipped[j], plan, rate);
-        counted.push(every(&count, k));
-        fitted.push(every(&fit, k));
-        qd.push(every(&velocity, k));
-        qdd.push(every(&acceleration, k));
-    }
-    let filter = ZeroPhase::butterworth(ORDER, plan.band_hz, rate / k as f64)?;
-    Ok(Some(Stretch {
+    // Four columns are filtered in the time of one, so they stay together.
+    columns.par_chunks_mut(4).try_for_each(|group| low_pass.apply_columns(group))?;
+    let joints: Vec<Joint> = part
+        .q
+        .par_iter()
+        .zip(&clipped)
+        .map(|(q, clipped)| joint(q, &usable, clipped, plan, rate, k))
+        .collect::<Result<_, EstimationError>>()?;
+    let mut out = Stretch {
         start_s: part.start_s,
         period_s,
         q_rad: part.q.iter().map(|c| every(c, k)).collect(),
-        qd_rad_s: qd,
-        qdd_rad_s2: qdd,
-        sign,
-        bristles,
+        qd_rad_s: Vec::new(),
+        qdd_rad_s2: Vec::new(),
+        sign: Vec::new(),
+        bristles: Vec::new(),
         tau_nm: part.tau.iter().map(|c| every(c, k)).collect(),
         extra: part.extra.iter().map(|(name, c)| (name.clone(), every(c, k))).collect(),
         usable: every(&usable, k),
-        counted,
-        fitted,
+        counted: Vec::new(),
+        fitted: Vec::new(),
         cut: (cut_s / period_s).ceil() as usize,
         row_step: (1.0 / (ROW_RATE * plan.band_hz * period_s) + 1e-9).floor().max(1.0) as usize,
-        filter,
-    }))
+        filter: ZeroPhase::butterworth(ORDER, plan.band_hz, rate / k as f64)?,
+    };
+    for j in joints {
+        out.qd_rad_s.push(j.qd);
+        out.qdd_rad_s2.push(j.qdd);
+        out.sign.push(j.sign);
+        out.bristles.push(j.bristles);
+        out.counted.push(j.counted);
+        out.fitted.push(j.fitted);
+    }
+    Ok(Some(out))
+}
+
+/// What follows from one joint's position.
+struct Joint {
+    qd: Vec<f64>,
+    qdd: Vec<f64>,
+    sign: Vec<f64>,
+    bristles: Vec<Vec<f64>>,
+    counted: Vec<bool>,
+    fitted: Vec<bool>,
+}
+
+fn joint(
+    q: &[f64],
+    usable: &[bool],
+    clipped: &[bool],
+    plan: &Plan,
+    rate: f64,
+    k: usize,
+) -> Result<Joint, EstimationError> {
+    let velocity = differentiate(q, 1.0 / rate, Stencil::Seven, 1)?;
+    let acceleration = differentiate(q, 1.0 / rate, Stencil::Seven, 2)?;
+    let ramp = DirectionLaw::Ramp { width_rad_s: plan.standstill_rad_s };
+    let widths: &[f64] = if plan.bristle { &BRISTLE_WIDTHS_RAD } else { &[] };
+    let bristle = |&width_rad| DirectionLaw::Bristle { width_rad, kappa_s_rad: 0.0 };
+    let (counted, fitted) = mask::moving(&velocity, usable, clipped, plan, rate);
+    Ok(Joint {
+        sign: mask::direction(q, &velocity, ramp, k),
+        bristles: widths.iter().map(|w| mask::direction(q, &velocity, bristle(w), k)).collect(),
+        counted: every(&counted, k),
+        fitted: every(&fitted, k),
+        qd: every(&velocity, k),
+        qdd: every(&acceleration, k),
+    })
 }
 
 fn every<T: Copy>(x: &[T], step: usize) -> Vec<T> {

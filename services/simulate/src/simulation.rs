@@ -278,8 +278,9 @@ pub(crate) struct Noise {
     pub spikes_per_s: f64,
 }
 
-/// Encoder assumed where the robot file gives no resolution [bit], motor side.
-const DEFAULT_BITS: f64 = 20.0;
+/// Encoder step at the joint side assumed where the robot file does not give resolution and gear ratio [rad]:
+/// 20 bits behind a gear of 33.
+const DEFAULT_STEP_RAD: f64 = 1.8e-7;
 
 impl Noise {
     pub(crate) fn draw(
@@ -299,8 +300,11 @@ impl Noise {
         let share = random.uniform(0.0025, 0.005);
         for (i, joint) in truth.joints.iter().enumerate() {
             noise.torque[i] = config.noise.torque_nm.get(i).copied().unwrap_or(share * scales.torque[i]);
-            let bits = robot.drive.encoder_bits.as_ref().and_then(|b| b.get(i)).unwrap_or(DEFAULT_BITS);
-            let step = std::f64::consts::TAU / bits.exp2() / joint.gear.abs();
+            let bits = robot.drive.encoder_bits.as_ref().and_then(|b| b.get(i));
+            let step = match (bits, &robot.drive.gear_ratio) {
+                (Some(bits), Some(_)) => std::f64::consts::TAU / bits.exp2() / joint.gear.abs(),
+                _ => DEFAULT_STEP_RAD,
+            };
             noise.encoder_step[i] = config.noise.encoder_step_rad.unwrap_or(step);
         }
         noise

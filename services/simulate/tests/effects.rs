@@ -123,7 +123,10 @@ fn pointwise_laws_hold_on_their_joint_and_nowhere_else() {
         ("cable_spring", vec![("k_1", 1.0), ("k_3", 2.0), ("q_0", 0.3)], |x| (x.q - 0.3) + 2.0 * (x.q - 0.3).powi(3)),
         ("kt_scale", vec![("g", 0.08)], |x| x.tau * 0.08 / 1.08),
         ("torque_saturation", vec![("a", 0.3), ("tau_k", 6.0)], |x| {
-            let true_torque = if x.tau.abs() > 6.0 { 6.0 + (x.tau.abs() - 6.0) / 1.3 } else { x.tau.abs() };
+            // τ (1 + a (τ − τ_k)/τ_k) = u is a quadratic in τ: a τ² + (1 − a) τ_k τ − u τ_k = 0.
+            let (a, k, u) = (0.3f64, 6.0f64, x.tau.abs());
+            let root = ((k * (1.0 - a)).powi(2) + 4.0 * a * u * k).sqrt();
+            let true_torque = if u > k { (root - k * (1.0 - a)) / (2.0 * a) } else { u };
             (x.tau.abs() - true_torque) * x.tau.signum()
         }),
         ("dent", vec![("height", 2.0), ("at", 0.5), ("width", 0.1)], |x| {

@@ -197,7 +197,7 @@ pub const EFFECTS: &[Effect] = &[
         also_accept: &[],
         scope: Scope::Joint,
         kind: None,
-        law: "reported τ + a τ_k ((|τ| − τ_k)/τ_k)^p sgn τ above the knee τ_k",
+        law: "reported τ (1 + a ((|τ| − τ_k)/τ_k)^p) above the knee τ_k",
         parameters: &[
             parameter("a", "1", MUST, 0.0, 20.0),
             parameter("tau_k", "Nm", MUST, 1e-6, 1e6),
@@ -205,7 +205,7 @@ pub const EFFECTS: &[Effect] = &[
         ],
         draw: |r, s, i| {
             let p = if r.unit() < 0.5 { 1.0 } else { 2.0 };
-            params(&[("a", r.uniform(0.15, 0.5)), ("tau_k", r.uniform(0.35, 0.7) * s.torque[i]), ("p", p)])
+            params(&[("a", r.uniform(0.08, 0.3)), ("tau_k", r.uniform(0.35, 0.7) * s.torque[i]), ("p", p)])
         },
         apply: |v, w| {
             for &i in &v.joints {

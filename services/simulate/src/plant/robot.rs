@@ -91,7 +91,7 @@ impl JointTorque {
     }
 }
 
-/// Torque constant that falls above a knee: the drive reports u = τ + a τ_k ((|τ| − τ_k)/τ_k)^p sgn τ.
+/// Torque constant that falls above a knee: the drive reports u = τ (1 + a ((|τ| − τ_k)/τ_k)^p).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Saturation {
     /// Knee τ_k [Nm].
@@ -109,12 +109,12 @@ impl Saturation {
         if over <= 0.0 {
             return u;
         }
-        // x + a x^p = over, x the delivered excess; between 0 and `over` the left side rises. Bisection needs
-        // no slope, which is infinite at the knee for p < 1.
+        // (1 + x)(1 + a x^p) = 1 + over, x the delivered excess; between 0 and `over` the left side rises.
+        // Bisection needs no slope, which is infinite at the knee for p < 1.
         let (mut low, mut high) = (0.0, over);
         for _ in 0..60 {
             let x = 0.5 * (low + high);
-            if x + self.strength * x.powf(self.order) > over {
+            if (1.0 + x) * (1.0 + self.strength * x.powf(self.order)) > 1.0 + over {
                 high = x;
             } else {
                 low = x;
@@ -141,7 +141,7 @@ pub struct JointDrive {
     pub saturation: Option<Saturation>,
     /// Homing error: reading minus truth [rad].
     pub encoder_offset: f64,
-    /// Motor turns per joint turn.
+    /// Motor turns per joint turn; 1 where the robot file does not say.
     pub gear: f64,
 }
 
@@ -269,14 +269,6 @@ pub struct TrueRobot {
     pub torque_delay: f64,
 }
 
-/// Gear ratio and encoder assumed where the robot file gives none: a typical servo of each kind.
-fn default_gear(kind: Kind) -> f64 {
-    match kind {
-        Kind::Delta => 33.0,
-        Kind::Serial => 100.0,
-    }
-}
-
 impl TrueRobot {
     /// The robot exactly as its file says, without friction. `urdf` is the text of the URDF the file names.
     ///
@@ -305,7 +297,7 @@ impl TrueRobot {
                 torque_constant: 1.0,
                 saturation: None,
                 encoder_offset: 0.0,
-                gear: robot.drive.gear_ratio.as_ref().and_then(|g| g.get(i)).unwrap_or(default_gear(robot.kind)),
+                gear: robot.drive.gear_ratio.as_ref().and_then(|g| g.get(i)).unwrap_or(1.0),
             })
             .collect();
         Ok(Self {

@@ -26,6 +26,9 @@ pub struct BaseColumn {
     pub merged: Vec<(usize, f64)>,
     /// Value that follows from the robot file: π_b + Σ κ π_d.
     pub nominal: f64,
+    /// Root mean square of the column at random motions, over the joint where it is largest: what a recording's column is
+    /// measured against before it is called zero.
+    pub typical: f64,
 }
 
 /// The minimal set of a robot.
@@ -54,7 +57,12 @@ pub fn structure(body: &dyn RigidBody, robot: &RobotFile, columns: Vec<Column>) 
     let BaseParameters { independent, dependent, zero, condition } = base_parameters(&x, TOLERANCE, Pivoting::InOrder)?;
     let mut base: Vec<BaseColumn> = independent
         .iter()
-        .map(|&column| BaseColumn { column, merged: Vec::new(), nominal: columns[column].nominal })
+        .map(|&column| BaseColumn {
+            column,
+            merged: Vec::new(),
+            nominal: columns[column].nominal,
+            typical: (0..n).map(|j| rms((0..samples).map(|s| x[(s * n + j, column)]))).fold(0.0, f64::max),
+        })
         .collect();
     for d in &dependent {
         for &(into, factor) in &d.combination {
@@ -70,6 +78,11 @@ pub fn structure(body: &dyn RigidBody, robot: &RobotFile, columns: Vec<Column>) 
         .map(|j| (0..base.len()).filter(|&b| (0..samples).any(|s| x[(s * n + j, base[b].column)] != 0.0)).collect())
         .collect();
     Ok(Structure { columns, base, silent: zero, active, condition })
+}
+
+fn rms(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len().max(1) as f64;
+    (values.map(|v| v * v).sum::<f64>() / count).sqrt()
 }
 
 fn tidy(factor: f64) -> f64 {

@@ -28,6 +28,10 @@ const HUBER: f64 = 2.5;
 /// tenfold where the normal equations are still too ill-conditioned.
 const DATA_TOLERANCE: [f64; 4] = [1e-4, 1e-3, 1e-2, 1e-1];
 
+/// A column is zero in the data below this share of its size at random motions: a joint that a controller holds still moves
+/// by its encoder's resolution.
+const SILENT: f64 = 1e-4;
+
 /// How to fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FitSettings {
@@ -151,18 +155,18 @@ pub fn fit(structure: &Structure, rows: &Rows, train: &[bool], settings: FitSett
     let mut huber: Option<Vec<Vec<f64>>> = None;
     let mut outliers = vec![0.0; count.len()];
     // First with weights of the torque's size, then of the noise's, then with bounded influence.
+    let (rms, size) = problem.column_sizes();
     let mut sums = problem.sums(&sigma, None)?;
-    let (mut choice, mut condition_all) = problem.excited(&sums)?;
+    let (mut choice, mut condition_all) = problem.excited(&sums, &rms)?;
     for pass in 0..1 + usize::from(settings.robust) {
         let beta = problem.solve(&sums, &choice)?;
         let weights = problem.reweigh(&beta, &mut sigma, &mut outliers, huber.is_some());
         huber = settings.robust.then_some(weights);
         sums = problem.sums(&sigma, huber.as_deref())?;
         if pass == 0 {
-            (choice, condition_all) = problem.excited(&sums)?;
+            (choice, condition_all) = problem.excited(&sums, &rms)?;
         }
     }
-    let size = problem.column_size();
     loop {
         let beta = problem.solve(&sums, &choice)?;
         let (covariance, blocks) = problem.jackknife(&sums, &choice)?;
@@ -252,35 +256,42 @@ impl Problem<'_> {
         Ok(accumulate(self.spans.len(), p, fill)?)
     }
 
-    /// Columns that these data excite and tell apart, and the condition number over all columns.
-    fn excited(&self, sums: &BlockSums<Gram>) -> Result<(Choice, f64), BadInput> {
+    /// Columns that these data excite and tell apart, and the condition number of all that are not zero.
+    fn excited(&self, sums: &BlockSums<Gram>, rms: &[f64]) -> Result<(Choice, f64), BadInput> {
         let total = sums.total().ok_or_else(nothing)?;
-        // A square root of the Gram matrix has the column dependences of the regressor, to half its digits.
-        let eigen = total.xtx().symmetric_eigen();
-        let mut root = eigen.eigenvectors.transpose();
-        for (mut row, value) in root.row_iter_mut().zip(eigen.eigenvalues.iter()) {
-            row *= value.max(0.0).sqrt();
-        }
+        let base = &self.structure.base;
+        let (moved, zero): (Vec<usize>, Vec<usize>) =
+            (0..base.len()).partition(|&b| rms[b] > SILENT * base[b].typical);
+        let root = column_root(&total.select(&moved).xtx());
         let nominal = self.nominal();
         for tolerance in DATA_TOLERANCE {
             let found = base_parameters(&root, tolerance, Pivoting::InOrder)?;
-            let mut excited = found.independent.clone();
+            let mut excited: Vec<usize> = found.independent.iter().map(|&i| moved[i]).collect();
             excited.sort_unstable();
+            if excited.is_empty() {
+                break;
+            }
             if total.select(&excited).condition() > 0.5 * lacuna_estimation::least_squares::GRAM_CONDITION_LIMIT {
                 continue;
             }
-            let mut unexcited: Vec<Unexcited> = found
-                .dependent
-                .into_iter()
-                .map(|d| Unexcited { base: d.column, why: Why::Dependent, combination: d.combination })
-                .chain(found.zero.into_iter().map(|base| Unexcited { base, why: Why::Zero, combination: Vec::new() }))
-                .collect();
+            // Factors were found for columns of unit length.
+            let length = |b: usize| total.select(&[b]).xtx()[(0, 0)].sqrt();
+            let dependent = found.dependent.into_iter().map(|d| {
+                let column = moved[d.column];
+                let combination =
+                    d.combination.iter().map(|&(i, k)| (moved[i], k * length(column) / length(moved[i]))).collect();
+                Unexcited { base: column, why: Why::Dependent, combination }
+            });
+            let silent = zero.iter().map(|&base| Unexcited { base, why: Why::Zero, combination: Vec::new() });
+            let mut unexcited: Vec<Unexcited> = dependent.chain(silent).collect();
             unexcited.sort_by_key(|u| u.base);
             let mut fixed = vec![0.0; nominal.len()];
             unexcited.iter().for_each(|u| fixed[u.base] = nominal[u.base]);
-            return Ok((Choice { excited, unexcited, fixed }, total.condition()));
+            return Ok((Choice { excited, unexcited, fixed }, total.select(&moved).condition()));
         }
-        Err(BadInput::new("found columns that the recordings do not tell apart at any tolerance; expected motion of every joint"))
+        Err(BadInput::new(
+            "found columns that the recordings do not tell apart at any tolerance; expected motion of every joint",
+        ))
     }
 
     /// β of the excited columns, the others at the robot file's value.
@@ -338,10 +349,11 @@ impl Problem<'_> {
         all
     }
 
-    /// Largest root mean square of every base column over a joint's fitted rows, in standard deviations of that
-    /// joint's torque.
-    fn column_size(&self) -> Vec<f64> {
-        let mut size = vec![0.0f64; self.structure.base.len()];
+    /// Root mean square of every base column over a joint's fitted rows, and the same in standard deviations of that
+    /// joint's torque; each at the joint where it is largest.
+    fn column_sizes(&self) -> (Vec<f64>, Vec<f64>) {
+        let p = self.structure.base.len();
+        let (mut rms, mut size) = (vec![0.0f64; p], vec![0.0f64; p]);
         for (j, active) in self.structure.active.iter().enumerate() {
             let scale = self.spread_of_torque(j);
             let mut sum = vec![0.0; active.len()];
@@ -352,10 +364,12 @@ impl Problem<'_> {
                 count += 1.0;
             }
             for (&b, s) in active.iter().zip(&sum) {
-                size[b] = size[b].max((s / f64::max(count, 1.0)).sqrt() / scale);
+                let own = (s / f64::max(count, 1.0)).sqrt();
+                rms[b] = rms[b].max(own);
+                size[b] = size[b].max(own / scale);
             }
         }
-        size
+        (rms, size)
     }
 
     /// The fitted column that the data support least, if it is below what a model can use.
@@ -450,6 +464,18 @@ impl Problem<'_> {
 
 fn nothing() -> BadInput {
     BadInput::new("found no rows to fit; expected a recording in motion")
+}
+
+/// A matrix of unit columns with the column dependences of the regressor whose Gram matrix is given, to half its digits.
+fn column_root(xtx: &DMatrix<f64>) -> DMatrix<f64> {
+    let scale = xtx.diagonal().map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 0.0 });
+    let scaled = DMatrix::from_fn(xtx.nrows(), xtx.ncols(), |i, j| xtx[(i, j)] * scale[i] * scale[j]);
+    let eigen = scaled.symmetric_eigen();
+    let mut root = eigen.eigenvectors.transpose();
+    for (mut row, value) in root.row_iter_mut().zip(eigen.eigenvalues.iter()) {
+        row *= value.max(0.0).sqrt();
+    }
+    root
 }
 
 fn huber_weight(u: f64) -> f64 {

@@ -1,0 +1,224 @@
+//! Identification on simulated recordings: what the files say, and what is said about bad ones.
+
+use lacuna_identify::split::Span;
+use lacuna_identify::{Delay, Holdout, Method, Options, Outcome, identify, identify_recordings, write};
+use lacuna_interfaces::{BadInput, ModelFile, Recording, RobotFile};
+use lacuna_physics::{Motion, RigidBody, parameters_of};
+use lacuna_simulate::config::{SimulationConfig, TrajectoryGroup};
+use lacuna_simulate::reference::Kinds;
+use lacuna_simulate::{Simulation, simulate};
+
+const DELTA: &str = "kind = \"delta\"\nname = \"test\"\n[geometry]\nl1 = 0.35\nl2 = 0.88\nra = 0.2\nrb = 0.05\n[mass]\n\
+    platform = 1.1\nupper_arm = 1.8\nforearm_point = 0.22\nrotor_inertia = 0.06\n[drive]\ngear_ratio = 33\n\
+    encoder_bits = 20\nsample_rate_hz = 1000\n";
+
+const ARM: &str = "kind = \"serial\"\nname = \"arm\"\njoints = [\"a\", \"b\"]\n[env]\ngravity = [9.81, 0.0, 0.0]\n\
+    [[dh]]\na = 0.3\n[[dh]]\na = 0.25\n\
+    [[link]]\nmass = 2.0\ncom = [-0.1, 0.0, 0.0]\ninertia = [0.01, 0.0, 0.0, 0.02, 0.0, 0.02]\nrotor_inertia = 0.1\n\
+    [[link]]\nmass = 1.5\ncom = [-0.1, 0.0, 0.0]\ninertia = [0.01, 0.0, 0.0, 0.015, 0.0, 0.015]\nrotor_inertia = 0.05\n\
+    [drive]\ngear_ratio = 50\nencoder_bits = 20\nsample_rate_hz = 1000\n";
+
+fn robot(text: &str) -> (RobotFile, Box<dyn RigidBody>) {
+    let robot = RobotFile::parse(text).unwrap();
+    let body = lacuna_physics::build(&robot, None).unwrap();
+    (robot, body)
+}
+
+fn motions(robot: &RobotFile, seed: u64, count: u32) -> Simulation {
+    let group = |kind, count| TrajectoryGroup { kind, duration_s: 5.0, count, intensity: 0.8 };
+    let config = SimulationConfig {
+        seed,
+        trajectories: vec![group(Kinds::Fourier, count), group(Kinds::PointToPoint, 1)],
+        ..SimulationConfig::default()
+    };
+    simulate(robot, None, &config).unwrap()
+}
+
+fn run(options: &Options, robot: &RobotFile, body: &dyn RigidBody, recordings: Vec<Recording>) -> Result<Outcome, BadInput> {
+    identify_recordings(options, robot, body, recordings, &(Vec::new(), Vec::new()), &mut |_, _| ())
+}
+
+fn said(outcome: &Outcome, what: &str) -> bool {
+    outcome.identification.warnings.iter().any(|w| w.contains(what))
+}
+
+#[test]
+fn the_model_file_reproduces_the_fit_through_the_physics() {
+    for text in [DELTA, ARM] {
+        let (robot, body) = robot(text);
+        let simulation = motions(&robot, 3, 2);
+        let outcome = run(&Options::default(), &robot, body.as_ref(), simulation.recordings.clone()).unwrap();
+        let model = ModelFile::parse(&outcome.model.to_toml().unwrap()).unwrap();
+        model.check(&robot).unwrap();
+        let pi = parameters_of(body.as_ref(), &model.rigid_body).unwrap();
+        // Noise-free signals behind the first recording: model torque against the plant's, away from standstill.
+        let behind = &simulation.behind[0];
+        let n = robot.joint_count();
+        let (mut error, mut torque) = (0.0, 0.0);
+        let mut tau = vec![0.0; n];
+        for k in 200..behind.t_s.len() - 200 {
+            let at = |signal: &[Vec<f64>]| signal.iter().map(|s| s[k]).collect::<Vec<f64>>();
+            let (q, qd, qdd) = (at(&behind.q_rad), at(&behind.qd_rad_s), at(&behind.qdd_rad_s2));
+            body.torque(&Motion { q_rad: &q, qd_rad_s: &qd, qdd_rad_s2: &qdd }, &pi, &mut tau).unwrap();
+            for j in (0..n).filter(|&j| qd[j].abs() > 0.3) {
+                let f = &model.friction;
+                let predicted = tau[j] + f.f_v[j] * qd[j] + f.f_c[j] * qd[j].signum() + f.offset[j];
+                error += (predicted - simulation.recordings[0].tau_nm[j][k]).powi(2);
+                torque += simulation.recordings[0].tau_nm[j][k].powi(2);
+            }
+        }
+        let relative = (error / torque).sqrt();
+        let noise: f64 = simulation.truth.noise.torque_nm.iter().map(|v| v * v).sum::<f64>() / n as f64;
+        eprintln!("{}: relative error of model.toml on unfiltered torque {relative:.4}, noise {:.4} Nm", robot.name, noise.sqrt());
+        assert!(relative < 0.05, "{relative}");
+        assert!(outcome.identification.held_out.score.relative_error < 0.03);
+        // Everything that merged is zero in the file, so that the full regressor adds up to the fit.
+        for p in &outcome.identification.parameters {
+            for m in &p.merged_with {
+                assert_eq!(model.rigid_body.parameters.get(&m.symbol), Some(&0.0), "{} into {}", m.symbol, p.symbol);
+            }
+        }
+    }
+}
+
+#[test]
+fn files_are_written_and_read_back() {
+    let (robot, _) = robot(DELTA);
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("robot.toml"), DELTA).unwrap();
+    let paths = motions(&robot, 5, 2).write(dir.path()).unwrap();
+    let recordings: Vec<_> = paths.into_iter().filter(|p| p.extension().is_some_and(|e| e == "csv")).collect();
+    let mut shares = Vec::new();
+    let options = Options { robot: dir.path().join("robot.toml"), recordings, ..Options::default() };
+    let outcome = identify(&options, &mut |share, what| shares.push((share, what.to_owned()))).unwrap();
+    assert!(shares.windows(2).all(|w| w[0].0 <= w[1].0) && shares.len() > 3);
+    let out = dir.path().join("new/out");
+    write(&outcome, &out).unwrap();
+    let json: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(out.join("identification.json")).unwrap()).unwrap();
+    assert_eq!(json["schema"], "lacuna.identification/1");
+    for key in ["relative_error", "rms_nm", "mean_nm", "std_nm", "moving_only", "band_hz", "train", "test"] {
+        assert!(!json["held_out"][key].is_null(), "{key}");
+    }
+    assert_eq!(json["held_out"]["train"][0]["file"], "traj_01.csv");
+    for key in ["symbol", "unit", "value", "ci95", "merged_with"] {
+        assert!(!json["parameters"][0][key].is_null(), "{key}");
+    }
+    for key in ["not_excited", "repairs", "warnings"] {
+        assert!(json[key].is_array(), "{key}");
+    }
+    ModelFile::parse(&std::fs::read_to_string(out.join("model.toml")).unwrap()).unwrap().check(&robot).unwrap();
+    assert_eq!(outcome.report.time_s.len(), outcome.report.joints[0].measured_nm.len());
+    assert!(outcome.report.held_out.iter().all(|h| *h) && outcome.report.recordings.len() == 3);
+}
+
+#[test]
+fn a_delay_is_found_and_undone() {
+    let (robot, body) = robot(DELTA);
+    let mut recordings = motions(&robot, 7, 3).recordings;
+    // The torque of 0.6 ms before, by interpolation.
+    for r in &mut recordings {
+        for tau in &mut r.tau_nm {
+            let late: Vec<f64> = (0..tau.len()).map(|k| if k == 0 { tau[0] } else { 0.4 * tau[k] + 0.6 * tau[k - 1] }).collect();
+            *tau = late;
+        }
+    }
+    let outcome = run(&Options::default(), &robot, body.as_ref(), recordings).unwrap();
+    let delay = outcome.identification.delay.unwrap();
+    assert!((delay.undone_s - 0.6e-3).abs() < 0.05e-3, "{delay:?}");
+}
+
+#[test]
+fn the_papers_progression() {
+    // As in the paper, the nominal model lacks inertia and weight that the real robot has.
+    let (robot, body) = robot(DELTA);
+    let real = DELTA.replace("upper_arm = 1.8", "upper_arm = 3.0").replace("rotor_inertia = 0.06", "rotor_inertia = 0.12");
+    let real = RobotFile::parse(&real).unwrap();
+    let group = |kind, count| TrajectoryGroup { kind, duration_s: 5.0, count, intensity: 0.9 };
+    let trajectories = vec![group(Kinds::Fourier, 4), group(Kinds::PickPlace, 2)];
+    let simulation = simulate(&real, None, &SimulationConfig { seed: 11, trajectories, ..SimulationConfig::default() }).unwrap();
+    let options = Options { method: Method::Paper, ..Options::default() };
+    let outcome = run(&options, &robot, body.as_ref(), simulation.recordings.clone()).unwrap();
+    let paper = outcome.identification.paper.as_ref().unwrap();
+    let sigma: Vec<f64> =
+        paper.table1.iter().map(|t| (t.std_nm.iter().map(|s| s * s).sum::<f64>() / 3.0).sqrt()).collect();
+    for t in &paper.trajectories {
+        eprintln!("   {}: rho {:.3} {:.3}, f_v {:.3?}, f_c {:.3?}", t.file, t.rho1, t.rho2, t.f_v, t.f_c);
+    }
+    for (t, s) in paper.table1.iter().zip(&sigma) {
+        eprintln!("{}: mean {:.3?} sd {:.3?} ({s:.3} Nm)", t.model, t.mean_nm, t.std_nm);
+    }
+    assert_eq!(paper.table1.iter().map(|t| t.model.as_str()).collect::<Vec<_>>(), ["M_KH", "M_Id", "M_Id+F", "pooled"]);
+    assert!(sigma[1] < sigma[0] && sigma[2] < 0.7 * sigma[1] && sigma[3] < sigma[2], "{sigma:?}");
+    assert_eq!((outcome.model.rigid_body.rho1, outcome.model.friction.f_v.len()), (Some(paper.rho1), 3));
+    let (arm, arm_body) = self::robot(ARM);
+    let e = run(&options, &arm, arm_body.as_ref(), motions(&arm, 1, 1).recordings).unwrap_err();
+    assert!(e.to_string().contains("paper"), "{e}");
+}
+
+#[test]
+fn bad_recordings_are_named_with_the_number_that_shows_it() {
+    let (robot, body) = robot(ARM);
+    let good = motions(&robot, 9, 2).recordings;
+    let outcome = run(&Options::default(), &robot, body.as_ref(), good.clone()).unwrap();
+    for nothing in ["hardly excited", "wrong unit", "saturated", "collinear", "rank deficient", "too few"] {
+        assert!(!said(&outcome, nothing), "{nothing}: {:?}", outcome.identification.warnings);
+    }
+
+    let mut still = good.clone();
+    for r in &mut still {
+        r.q_rad[1].fill(0.3);
+        r.tau_nm[1].fill(0.7);
+    }
+    let outcome = run(&Options::default(), &robot, body.as_ref(), still).unwrap();
+    assert!(said(&outcome, "joint 2 (b) is hardly excited"), "{:?}", outcome.identification.warnings);
+    assert!(said(&outcome, "rank deficient"), "{:?}", outcome.identification.warnings);
+    let named = |s: &str| outcome.identification.parameters.iter().any(|p| p.symbol == s);
+    assert!(!named("f_v2") && !named("f_c2") && !named("Ia2"), "nothing is printed that the data do not support");
+
+    let mut currents = good.clone();
+    currents.iter_mut().flat_map(|r| &mut r.tau_nm).flatten().for_each(|v| *v *= 0.02);
+    let outcome = run(&Options::default(), &robot, body.as_ref(), currents).unwrap();
+    assert!(said(&outcome, "wrong unit? the rigid-body parameters are 0.020 times"), "{:?}", outcome.identification.warnings);
+    assert!(said(&outcome, "gear ratio is 50"));
+
+    let mut clipped = good.clone();
+    let limit = 0.6 * clipped[0].tau_nm[0].iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    clipped.iter_mut().for_each(|r| r.tau_nm[0].iter_mut().for_each(|v| *v = v.clamp(-limit, limit)));
+    let outcome = run(&Options::default(), &robot, body.as_ref(), clipped).unwrap();
+    assert!(said(&outcome, "the torque of joint 1 stays at its limit"), "{:?}", outcome.identification.warnings);
+
+    let one = vec![good[0].clone()];
+    let outcome = run(&Options::default(), &robot, body.as_ref(), one).unwrap();
+    assert!(said(&outcome, "too few recordings") && outcome.identification.held_out.split == "halves");
+
+    let e = run(&Options { holdout: Some(Holdout::Recordings), ..Options::default() }, &robot, body.as_ref(), vec![good[0].clone()]);
+    assert!(e.unwrap_err().to_string().contains("at least 2"));
+    let mut rest = good[0].clone();
+    rest.q_rad.iter_mut().for_each(|q| q.fill(0.1));
+    let e = run(&Options::default(), &robot, body.as_ref(), vec![rest]).unwrap_err().to_string();
+    assert!(e.contains("0 rows of moving joints"), "{e}");
+    let e = run(&Options { delay: Delay::Fixed(f64::NAN), ..Options::default() }, &robot, body.as_ref(), good);
+    assert!(e.unwrap_err().to_string().contains("delay"));
+}
+
+#[test]
+fn ways_of_splitting_exclude_each_other() {
+    let (robot, _) = robot(DELTA);
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("robot.toml"), DELTA).unwrap();
+    let paths = motions(&robot, 5, 1).write(dir.path()).unwrap();
+    let file = paths.into_iter().find(|p| p.extension().is_some_and(|e| e == "csv")).unwrap();
+    let base = Options { robot: dir.path().join("robot.toml"), ..Options::default() };
+    let part = |text: &str| format!("{}{text}", file.display()).parse().unwrap();
+    let fails = |o: Options| identify(&o, &mut |_, _| ()).unwrap_err().to_string();
+    assert!(fails(base.clone()).contains("no recording"));
+    assert!(fails(Options { train: vec![part("@0:2")], ..base.clone() }).contains("expected both"));
+    let both = Options { train: vec![part("@0:2")], test: vec![part("@2:5")], ..base.clone() };
+    assert!(fails(Options { recordings: vec![file.clone()], ..both.clone() }).contains("one way"));
+    assert!(fails(Options { test: vec![part("@90:95")], ..both.clone() }).contains("test: found no row"));
+    let outcome = identify(&both, &mut |_, _| ()).unwrap();
+    let held = outcome.identification.held_out;
+    assert_eq!((held.split.as_str(), held.train[0].to_s, held.test[0].from_s), ("files", 2.0, 2.0));
+    assert_eq!(Span { recording: 0, from_s: 0.0, to_s: 1.0 }.recording, 0);
+}

@@ -4,15 +4,19 @@
 //! [`diagnose`] takes recordings in memory and returns [`Outcome`]; nothing here touches files or clocks.
 
 pub mod base;
+pub mod boost;
 pub mod events;
 pub mod families;
 pub mod findings;
 pub mod gram;
+mod locate;
 mod report;
 pub mod scene;
 pub mod screen;
 pub mod search;
 pub mod select;
+pub mod unknown;
+mod words;
 
 use base::Base;
 pub use findings::Findings;
@@ -68,7 +72,8 @@ pub fn diagnose(options: &Options, progress: &mut dyn FnMut(f64, &str)) -> Resul
         let search = Search::new(&scene, &families, base.target.clone(), limits);
         let selection = search.select(&base, &seeds, progress).ok_or_else(unusable)?;
         if selection.blank.is_empty() || last {
-            return report::outcome(&scene, &base, &search, &selection).ok_or_else(unusable);
+            let material = report::Material { scene: &scene, base: &base, search: &search, selection: &selection, seed: options.seed };
+            return report::outcome(&material, progress).ok_or_else(unusable);
         }
         seeds = selection
             .model

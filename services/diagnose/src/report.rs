@@ -2,18 +2,23 @@
 
 use crate::Outcome;
 use crate::base::Base;
+use crate::families::Context;
 use crate::findings::*;
+use crate::gram::Fit;
 use crate::scene::Scene;
-use crate::search::{BaseRole, Model, Search};
+use crate::search::{Atom, BaseRole, Model, Search};
 use crate::select::{Selection, context};
+use crate::unknown::Explained;
+use crate::words;
 use lacuna_estimation::filter::noise_sd;
 use lacuna_estimation::stats;
 use lacuna_interfaces::ModelFile;
 use lacuna_interfaces::model::{FrictionModel, NoiseModel, Term};
+use rand::{RngExt, SeedableRng};
 
 /// What the torque's white noise leaves in the band, per joint [Nm].
 pub fn noise_floor(scene: &Scene) -> Vec<f64> {
-    // Noise power of the zero-phase filter (order 4, twice): 0.45 of what a brick wall at twice the band has.
+    // Noise power of the zero-phase filter (order 4, twice) over that of a brick wall at the band's edge.
     let share = (0.93 * 2.0 * scene.band_hz / scene.rate_hz).min(1.0).sqrt();
     (0..scene.joints)
         .map(|j| {
@@ -23,102 +28,428 @@ pub fn noise_floor(scene: &Scene) -> Vec<f64> {
         .collect()
 }
 
+/// What the findings are made from.
+pub struct Material<'a> {
+    /// Recordings.
+    pub scene: &'a Scene,
+    /// Base.
+    pub base: &'a Base,
+    /// Search.
+    pub search: &'a Search<'a>,
+    /// Its result.
+    pub selection: &'a Selection,
+    /// Seed of the bootstrap.
+    pub seed: u64,
+}
+
+/// Size of the torque per joint [Nm].
+fn torque_rms(m: &Material<'_>) -> Vec<f64> {
+    (0..m.scene.joints)
+        .map(|j| {
+            let count = m.search.layout.joint_count(j).max(1.0);
+            (m.base.torque.part[j].iter().map(|v| v * v).sum::<f64>() / count).sqrt()
+        })
+        .collect()
+}
+
+fn rms(search: &Search<'_>, fit: &Fit) -> Vec<f64> {
+    (0..search.layout.joints).map(|j| (fit.held_out_joint(j) / search.layout.joint_count(j).max(1.0)).sqrt()).collect()
+}
+
+/// Norm of residuals over torques, each joint by its own torque.
+fn relative(residual: &[f64], size: &[f64]) -> f64 {
+    let share: f64 = residual.iter().zip(size).map(|(r, s)| (r / s.max(1e-12)).powi(2)).sum();
+    (share / residual.len().max(1) as f64).sqrt()
+}
+
 /// Everything `diagnose` returns.
-pub fn outcome(scene: &Scene, base: &Base, search: &Search<'_>, selection: &Selection) -> Option<Outcome> {
+pub fn outcome(m: &Material<'_>, progress: &mut dyn FnMut(f64, &str)) -> Option<Outcome> {
+    let (scene, search, selection) = (m.scene, m.search, m.selection);
     let n = scene.joints;
-    let mut empty = Model { base: base.columns.clone(), clamped: Vec::new(), atoms: Vec::new() };
+    let mut empty = Model { base: m.base.columns.clone(), clamped: Vec::new(), atoms: Vec::new() };
     let before = search.fit(&mut empty)?;
-    let count = |j: usize| search.layout.joint_count(j).max(1.0);
-    let rms = |fit: &crate::gram::Fit| (0..n).map(|j| (fit.held_out_joint(j) / count(j)).sqrt()).collect::<Vec<f64>>();
-    let before_rms = rms(&before.fit);
-    let after_rms = rms(&selection.state.fit);
-    let size: Vec<f64> =
-        (0..n).map(|j| (base.torque.part[j].iter().map(|v| v * v).sum::<f64>() / count(j)).sqrt()).collect();
-    let relative = |r: &[f64]| {
-        let share: f64 = r.iter().zip(&size).map(|(r, s)| (r / s.max(1e-12)).powi(2)).sum();
-        (share / n as f64).sqrt()
-    };
-    let ctx = context(scene, base, search, &selection.model, Some(&selection.state));
-    let mut findings: Vec<Finding> = Vec::new();
-    let mut terms = Vec::new();
-    for (i, atom) in selection.model.atoms.iter().enumerate() {
-        let family = &search.families[atom.family];
-        let slots = selection.model.slots(i);
-        let amplitude = &selection.state.fit.beta[slots];
-        let parameters = family.parameters(&ctx, atom.joint, &atom.shape, amplitude);
-        let joints: Vec<String> = family.joints(atom.joint).iter().map(|j| scene.robot.joints[*j].clone()).collect();
-        let loss = search.compare(
-            &selection.state,
-            &search.without(&selection.model, &selection.state, i)?,
-            &selection.state.fit,
-            Vec::new(),
-        );
-        terms.push(Term { effect: family.id().to_owned(), joints: joints.clone(), parameters: parameters.clone() });
-        let list = parameters.iter().map(|(s, v)| Parameter {
-            symbol: s.clone(),
-            unit: family.effect.parameters.iter().find(|p| p.symbol == s).map_or("", |p| p.unit).to_owned(),
-            value: *v,
-            ci95: [*v, *v],
-            joint: joints.first().cloned(),
-        });
-        let probability = 1.0 / (1.0 + (-loss.gain / 20.0).exp());
-        match findings.iter_mut().find(|f| f.effect == family.id()) {
-            Some(f) => {
-                f.joints.extend(joints.iter().filter(|j| !f.joints.contains(j)).cloned().collect::<Vec<_>>());
-                f.parameters.extend(list);
-                f.held_out.reduction += loss.gain;
-            }
-            None => findings.push(Finding {
-                effect: family.id().to_owned(),
-                parameters: list.collect(),
-                joints,
-                probability,
-                status: if family.group().len() > 1 { "group" } else { "named" }.into(),
-                alternatives: Vec::new(),
-                group: family.group().iter().map(|s| (*s).to_owned()).collect(),
-                equation: family.effect.law.to_owned(),
-                sentence: family.effect.title.to_owned(),
-                held_out: Reduction { before_rms_nm: 0.0, after_rms_nm: 0.0, reduction: loss.gain, ci95: [0.0, 0.0] },
-                stage: family.effect.stage.as_str().to_owned(),
-                intervals_s: Vec::new(),
-            }),
-        }
-    }
-    findings.sort_by(|a, b| b.held_out.reduction.total_cmp(&a.held_out.reduction));
-    let mut friction = FrictionModel { f_v: vec![0.0; n], f_c: vec![0.0; n], ..FrictionModel::default() };
-    for (slot, i) in selection.model.free_base().into_iter().enumerate() {
-        let v = selection.state.fit.beta[slot];
-        match selection.model.base[i].role {
-            BaseRole::Viscous(j) => friction.f_v[j] = v,
-            BaseRole::Coulomb(j) => friction.f_c[j] = v,
-            _ => {}
-        }
-    }
-    let mut model = ModelFile::nominal(&scene.robot);
-    model.friction = friction;
-    model.terms = terms;
-    model.noise = NoiseModel { sd_tau_nm: after_rms.clone(), sd_q_rad: Vec::new() };
-    let verdict = if findings.is_empty() { "Nothing is missing beyond noise and tolerances.".to_owned() } else { String::new() };
-    let findings = Findings {
+    let ctx = context(scene, m.base, search, &selection.model, Some(&selection.state));
+    let (before_rms, after_rms) = (rms(search, &before.fit), rms(search, &selection.state.fit));
+    let size = torque_rms(m);
+    let noise = &search.limits.noise_nm;
+    progress(0.85, "holding the model against a black box");
+    let base_residual = search.residual(&empty, &before);
+    let base_box = search.black_box(&ctx, &base_residual);
+    let rest_box = search.black_box(&ctx, &search.residual(&selection.model, &selection.state));
+    progress(0.93, "locating and writing");
+    let mut findings = named(m, &ctx)?;
+    let (unknown, unknown_finding) = unknown(m, &ctx, &rest_box, &before_rms);
+    findings.extend(unknown_finding);
+    findings.sort_by(|a, b| gain(b).total_cmp(&gain(a)));
+    let excess: Vec<f64> = (0..n)
+        .map(|j| (before_rms[j].powi(2) - noise[j].powi(2)).max(0.0) * search.layout.joint_count(j))
+        .collect();
+    let detected = !findings.is_empty();
+    let black: Vec<f64> =
+        (0..n).map(|j| (base_box.after[j] / search.layout.joint_count(j).max(1.0)).sqrt().min(before_rms[j])).collect();
+    let total_gain = search.compare(&selection.state, &before.fit, &selection.state.fit, Vec::new()).gain;
+    let mut out = Findings {
         schema: SCHEMA.into(),
         robot: scene.robot.name.clone(),
         recordings: scene.names.clone(),
         joints: scene.robot.joints.clone(),
-        baseline: Baseline { rms_nm: before_rms.clone(), relative_error: relative(&before_rms), noise_floor_nm: noise_floor(scene) },
-        mismatch: Mismatch { detected: !findings.is_empty(), significance: 1.0, r#where: Vec::new() },
-        held_out: HeldOut {
-            relative_before: relative(&before_rms),
-            relative_after: relative(&after_rms),
-            before_rms_nm: before_rms,
-            after_rms_nm: after_rms,
-            black_box_relative: f64::NAN,
+        baseline: Baseline { rms_nm: before_rms.clone(), relative_error: relative(&before_rms, &size), noise_floor_nm: noise.clone() },
+        mismatch: Mismatch {
+            detected,
+            significance: if detected { (-total_gain.clamp(0.0, 600.0)).exp() } else { 1.0 },
+            r#where: if detected { search.locate(&ctx, &base_residual, &excess, &findings) } else { Vec::new() },
         },
-        unknown: Unknown { flag: false, share: 0.0, r#where: None, map: None, expression: None },
-        excluded: Vec::new(),
+        held_out: HeldOut {
+            relative_before: relative(&before_rms, &size),
+            relative_after: relative(&after_rms, &size),
+            black_box_relative: relative(&black, &size),
+            before_rms_nm: before_rms,
+            after_rms_nm: after_rms.clone(),
+        },
+        unknown,
+        excluded: excluded(m),
         repairs: scene.repairs.clone(),
-        next_experiment: None,
-        verdict,
+        next_experiment: next_experiment(&findings),
+        verdict: String::new(),
         findings,
     };
-    Some(Outcome { findings, model })
+    out.verdict = words::verdict(&out);
+    Some(Outcome { findings: out, model: model_file(m, &ctx, after_rms) })
+}
+
+/// Held-out power that a finding removes.
+fn gain(f: &Finding) -> f64 {
+    f.held_out.before_rms_nm.powi(2) - f.held_out.after_rms_nm.powi(2)
+}
+
+/// Findings of the terms in the model, one per effect.
+fn named(m: &Material<'_>, ctx: &Context<'_>) -> Option<Vec<Finding>> {
+    let model = &m.selection.model;
+    let mut out = Vec::new();
+    let mut done: Vec<&str> = Vec::new();
+    for atom in &model.atoms {
+        let family = &m.search.families[atom.family];
+        if done.contains(&family.id()) {
+            continue;
+        }
+        done.push(family.id());
+        let all: Vec<usize> =
+            (0..model.atoms.len()).filter(|i| m.search.families[model.atoms[*i].family].id() == family.id()).collect();
+        let mut joints: Vec<usize> = all.iter().flat_map(|i| family.joints(model.atoms[*i].joint)).collect();
+        joints.sort_unstable();
+        joints.dedup();
+        let names: Vec<String> = joints.iter().map(|j| m.scene.robot.joints[*j].clone()).collect();
+        let where_: Vec<usize> = if joints.is_empty() { (0..m.scene.joints).collect() } else { joints };
+        let without = m.search.fit_without(model, &m.selection.state, &all)?;
+        let held_out = reduction(m, &without, &where_);
+        let nats = m.search.compare(&m.selection.state, &without, &m.selection.state.fit, Vec::new()).gain;
+        let group: Vec<String> = family.group().iter().map(|s| (*s).to_owned()).collect();
+        let (probability, alternatives) = probability(m, family.id(), nats, &group);
+        let parameters = all.iter().flat_map(|i| parameters(m, ctx, *i, names.len() > 1)).collect();
+        let mut finding = Finding {
+            effect: family.id().to_owned(),
+            joints: names,
+            probability,
+            status: if group.len() > 1 { "group" } else { "named" }.into(),
+            alternatives,
+            group,
+            equation: family.effect.law.to_owned(),
+            sentence: String::new(),
+            parameters,
+            held_out,
+            stage: family.effect.stage.as_str().to_owned(),
+            intervals_s: all.iter().flat_map(|i| intervals(m, &model.atoms[*i])).collect(),
+        };
+        finding.sentence = words::sentence(&finding, m.scene.robot.torque_unit.symbol());
+        out.push(finding);
+    }
+    Some(out)
+}
+
+/// Probability of an effect (or its group) and of its rivals, from their merits.
+fn probability(m: &Material<'_>, id: &str, nats: f64, group: &[String]) -> (f64, Vec<Alternative>) {
+    // One nat of held-out evidence is worth less than one of a perfect model: calibrated on simulated robots.
+    const SCALE: f64 = 10.0;
+    let there = 1.0 / (1.0 + (-(nats - 20.0) / SCALE).exp());
+    let Some(rivals) = m.selection.rivals.iter().find(|r| r.effect == id) else {
+        return (there, Vec::new());
+    };
+    let weight = |merit: f64| ((merit - rivals.merit) / SCALE).min(0.0).exp();
+    let others: Vec<(&str, f64)> = rivals
+        .others
+        .iter()
+        .filter(|(o, merit)| *merit > 0.0 && !group.iter().any(|g| g == o))
+        .map(|(o, merit)| (*o, weight(*merit)))
+        .collect();
+    let total = 1.0 + others.iter().map(|o| o.1).sum::<f64>();
+    let alternatives = others
+        .iter()
+        .map(|(o, w)| Alternative { effect: (*o).to_owned(), probability: there * w / total })
+        .filter(|a| a.probability > 1e-3)
+        .collect();
+    (there / total, alternatives)
+}
+
+/// Held-out residual with and without some terms at `joints`, its interval by bootstrap over folds.
+fn reduction(m: &Material<'_>, without: &Fit, joints: &[usize]) -> Reduction {
+    let with = &m.selection.state.fit;
+    let pick = |fit: &Fit| -> Vec<f64> { fit.held_out.iter().map(|f| joints.iter().map(|j| f[*j]).sum()).collect() };
+    let (a, b) = (pick(with), pick(without));
+    let count: f64 = joints.iter().map(|j| m.search.layout.joint_count(*j)).sum::<f64>().max(1.0);
+    let share = |rows: &[usize]| {
+        let (x, y): (f64, f64) = rows.iter().fold((0.0, 0.0), |s, r| (s.0 + a[*r], s.1 + b[*r]));
+        1.0 - (x / y.max(1e-30)).sqrt()
+    };
+    let all: Vec<usize> = (0..a.len()).collect();
+    let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(m.seed);
+    let mut draws: Vec<f64> = (0..400)
+        .map(|_| share(&(0..a.len()).map(|_| random.random_range(0..a.len())).collect::<Vec<_>>()))
+        .collect();
+    Reduction {
+        before_rms_nm: (b.iter().sum::<f64>() / count).sqrt(),
+        after_rms_nm: (a.iter().sum::<f64>() / count).sqrt(),
+        reduction: share(&all),
+        ci95: [stats::quantile_in_place(&mut draws, 0.025), stats::quantile_in_place(&mut draws, 0.975)],
+    }
+}
+
+/// Parameters of term `i` with intervals: amplitudes from the spread over folds left out (jackknife), shapes
+/// from the curvature of the evidence.
+fn parameters(m: &Material<'_>, ctx: &Context<'_>, i: usize, several: bool) -> Vec<Parameter> {
+    let (model, fit) = (&m.selection.model, &m.selection.state.fit);
+    let atom = &model.atoms[i];
+    let family = &m.search.families[atom.family];
+    let slots = model.slots(i);
+    let amplitude: Vec<f64> = if atom.fixed { atom.shape.iter().skip(2).copied().collect() } else { fit.beta[slots.clone()].to_vec() };
+    let values = family.parameters(ctx, atom.joint, &atom.shape, &amplitude);
+    let spread = |slot: usize| -> f64 {
+        let draws: Vec<f64> = fit.fold_beta.iter().filter_map(|b| b.get(slot).copied()).collect();
+        let folds = draws.len() as f64;
+        let mean = stats::mean(&draws);
+        let jackknife = ((folds - 1.0) / folds * draws.iter().map(|b| (b - mean).powi(2)).sum::<f64>()).sqrt();
+        let formal = fit.variance.get(slot).copied().unwrap_or(0.0).sqrt();
+        // Student's t for as many folds.
+        (1.96 + 2.4 / (folds - 1.0).max(1.0)) * jackknife.max(formal)
+    };
+    let shapes = family.shapes(ctx, atom.joint).unwrap_or_default();
+    values
+        .into_iter()
+        .map(|(symbol, value)| {
+            let half = match family.keep.iter().position(|k| *k == symbol) {
+                Some(c) if !atom.fixed => spread(slots.start + c),
+                Some(_) => 0.0,
+                None => shapes
+                    .iter()
+                    .position(|s| s.symbol == symbol && s.bounds.is_some())
+                    .map_or(0.0, |s| 1.96 * curvature(m, ctx, i, s)),
+            };
+            Parameter {
+                unit: family.effect.parameters.iter().find(|p| p.symbol == symbol).map_or("", |p| p.unit).to_owned(),
+                joint: (several || family.per_joint()).then(|| m.scene.robot.joints[atom.joint].clone()),
+                ci95: [value - half, value + half],
+                symbol,
+                value,
+            }
+        })
+        .collect()
+}
+
+/// Standard deviation of a shape parameter from how the evidence falls beside it.
+fn curvature(m: &Material<'_>, ctx: &Context<'_>, i: usize, shape: usize) -> f64 {
+    let mut model = m.selection.model.clone();
+    let atom = model.atoms.remove(i);
+    let Some(state) = m.search.fit(&mut model) else { return 0.0 };
+    let at = |factor: f64| -> Option<f64> {
+        let mut s = atom.shape.clone();
+        s[shape] *= factor;
+        let moved = m.search.atom(ctx, atom.family, atom.joint, &s);
+        Some(m.search.score(&model, &state, &[&moved])?.gain)
+    };
+    // The state's weights are those of the larger residual without the term; put the scale right.
+    let scale = m
+        .selection
+        .state
+        .weights
+        .iter()
+        .zip(&state.weights)
+        .map(|(a, b)| a / b.max(1e-300))
+        .fold(1.0, f64::max);
+    let step = 0.03;
+    match (at(1.0), at(1.0 + step), at(1.0 - step)) {
+        (Some(c), Some(a), Some(b)) => {
+            let fall = ((c - a) + (c - b)) * 0.5 * scale;
+            atom.shape[shape].abs() * step / (2.0 * fall.max(1e-3)).sqrt()
+        }
+        _ => 0.0,
+    }
+}
+
+/// Times in which a term acts, per file.
+fn intervals(m: &Material<'_>, atom: &Atom) -> Vec<(String, f64, f64)> {
+    let mut times = atom.carries.clone();
+    if m.search.families[atom.family].id() == "collision"
+        && let [t_0, duration, ..] = atom.shape[..]
+    {
+        times.push((t_0, t_0 + duration));
+    }
+    let file = |t: f64| {
+        m.scene.pieces.iter().rev().find(|p| t >= p.global_s - 0.1).map(|p| (m.scene.names[p.recording].clone(), p.global_s - p.t0_s))
+    };
+    times.into_iter().filter_map(|(a, b)| file(a).map(|(name, zero)| (name, a - zero, b - zero))).collect()
+}
+
+/// Share of a joint's base mismatch that must be left unnamed, and explained by the black box, to be a finding.
+const UNKNOWN_SHARE: f64 = 0.15;
+
+fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[f64]) -> (Unknown, Option<Finding>) {
+    let n = m.scene.joints;
+    let noise = &m.search.limits.noise_nm;
+    let count = |j: usize| m.search.layout.joint_count(j).max(1.0);
+    let excess: f64 = (0..n).map(|j| (before_rms[j].powi(2) - noise[j].powi(2)).max(0.0) * count(j)).sum();
+    let taken = |j: usize| (rest.before[j] - rest.after[j]).max(0.0);
+    let share = ((0..n).map(taken).sum::<f64>() / excess.max(1e-30)).min(1.0);
+    let worst = (0..n).max_by(|a, b| (taken(*a) / m.search.limits.floor_nm[*a].powi(2)).total_cmp(&(taken(*b) / m.search.limits.floor_nm[*b].powi(2)))).unwrap_or(0);
+    let size = (taken(worst) / count(worst)).sqrt();
+    let own = taken(worst) / ((before_rms[worst].powi(2) - noise[worst].powi(2)).max(1e-30) * count(worst));
+    let flag = size > 1.5 * m.search.limits.floor_nm[worst]
+        && own > UNKNOWN_SHARE
+        && taken(worst) > 0.2 * rest.before[worst]
+        && rest.folds[worst] > 0.6;
+    if !flag {
+        return (Unknown { flag, share: share.min(0.4) * f64::from(u8::from(size > m.search.limits.floor_nm[worst])), r#where: None, map: None, expression: None }, None);
+    }
+    let residual = m.search.residual(&m.selection.model, &m.selection.state);
+    let found = m.search.map(ctx, &residual, worst);
+    let joint = m.scene.robot.joints[worst].clone();
+    let where_ = Where {
+        joint: joint.clone(),
+        share: 1.0,
+        stage: "friction".into(),
+        region: found.iter().map(|f| f.2.clone()).collect(),
+        intervals_s: Vec::new(),
+        rms_nm: size,
+    };
+    let before = (rest.before[worst] / count(worst)).sqrt();
+    let after = (rest.after[worst] / count(worst)).sqrt();
+    let region = found.as_ref().map_or_else(String::new, |f| format!(", mostly at {} {:.3} to {:.3}", f.2.variable, f.2.low, f.2.high));
+    let finding = Finding {
+        effect: "unknown".into(),
+        joints: vec![joint.clone()],
+        probability: 0.9,
+        status: "unknown".into(),
+        alternatives: Vec::new(),
+        group: Vec::new(),
+        equation: String::new(),
+        sentence: format!(
+            "Joint {joint} has a torque of {size:.3} {} that no effect of the catalogue explains{region}; a black box predicts it on recordings it was not fitted to.",
+            m.scene.robot.torque_unit.symbol()
+        ),
+        parameters: Vec::new(),
+        held_out: Reduction { before_rms_nm: before, after_rms_nm: after, reduction: 1.0 - after / before.max(1e-30), ci95: [0.0, 1.0] },
+        stage: "friction".into(),
+        intervals_s: Vec::new(),
+    };
+    (Unknown { flag, share, r#where: Some(where_), map: found.map(|f| f.1), expression: None }, Some(finding))
+}
+
+/// Candidates that were looked at and not taken, with the reason.
+fn excluded(m: &Material<'_>) -> Vec<Excluded> {
+    let mut out: Vec<Excluded> = Vec::new();
+    for r in &m.selection.excluded {
+        let id = m.search.families[r.atoms[0].family].id();
+        let taken = m.selection.model.atoms.iter().any(|a| m.search.families[a.family].id() == id);
+        if taken || out.iter().any(|e| e.effect == id) {
+            continue;
+        }
+        let size = r.score.size_nm.iter().copied().fold(0.0, f64::max);
+        let unit = m.scene.robot.torque_unit.symbol();
+        let reason = if r.score.gain < 0.0 {
+            format!("worsens the prediction of recordings left out (by {:.1} nats)", -r.score.gain)
+        } else if r.merit < 0.0 {
+            format!("gains {:.1} nats on recordings left out, less than chance can ({:.3} {unit})", r.score.gain, size)
+        } else {
+            format!("contributes {size:.3} {unit}, below what counts")
+        };
+        out.push(Excluded { effect: id.to_owned(), reason });
+    }
+    out
+}
+
+/// What to record if two explanations stay open.
+fn next_experiment(findings: &[Finding]) -> Option<NextExperiment> {
+    let open = findings.iter().find_map(|f| {
+        let a = f.alternatives.iter().find(|a| a.probability > 0.1)?;
+        Some((f, a.effect.clone()))
+    });
+    if let Some((f, other)) = open {
+        return Some(NextExperiment {
+            separate: vec![f.effect.clone(), other.clone()],
+            words: format!("lacuna excite --separate {},{other}: {}", f.effect, advice(&f.effect)),
+        });
+    }
+    let group = findings.iter().find(|f| f.group.len() > 1)?;
+    Some(NextExperiment {
+        separate: group.group.clone(),
+        words: format!("{}; positions and torques in motion alone cannot separate {}", advice(&group.effect), group.group.join(" and ")),
+    })
+}
+
+fn advice(effect: &str) -> &'static str {
+    match effect {
+        "stribeck" | "viscous_power" => "sweep each joint at constant speeds from creeping to fast",
+        "coulomb_asym" | "torque_offset" => "hold the joint at rest under a known load, approached from both sides",
+        "rotor_inertia" | "arm_inertia" => "repeat with a known mass on the arm, or with the arm taken off the gear",
+        "gravity_spring" | "cable_spring" | "base_tilt" => "move slowly over the whole range of every joint",
+        "encoder_offset" | "link_length" => "visit the corners of the workspace slowly, then fast",
+        "elasticity" | "backlash" | "torque_delay" => "shake each joint with a chirp through its resonance, at two amplitudes",
+        "presliding" => "make reversals of a few milliradians",
+        _ => "record motions over the whole range of positions and speeds",
+    }
+}
+
+fn model_file(m: &Material<'_>, ctx: &Context<'_>, after_rms: Vec<f64>) -> ModelFile {
+    let (n, selection) = (m.scene.joints, m.selection);
+    let mut model = ModelFile::nominal(&m.scene.robot);
+    let mut friction = FrictionModel {
+        f_v: vec![0.0; n],
+        f_c: vec![0.0; n],
+        standstill_rad_s: m.scene.slow_rad_s.clone(),
+        ..FrictionModel::default()
+    };
+    for (slot, i) in selection.model.free_base().into_iter().enumerate() {
+        let v = selection.state.fit.beta[slot];
+        match &selection.model.base[i].role {
+            BaseRole::Viscous(j) => friction.f_v[*j] = v,
+            BaseRole::Coulomb(j) => friction.f_c[*j] = v,
+            BaseRole::Offset(j) => {
+                friction.offset.resize(n, 0.0);
+                friction.offset[*j] = v;
+            }
+            BaseRole::Parameter(symbol) => {
+                model.rigid_body.parameters.insert(symbol.clone(), v);
+            }
+            BaseRole::Tolerance(_) => {}
+        }
+    }
+    for (i, atom) in selection.model.atoms.iter().enumerate() {
+        let family = &m.search.families[atom.family];
+        let amplitude: Vec<f64> =
+            if atom.fixed { atom.shape.iter().skip(2).copied().collect() } else { selection.state.fit.beta[selection.model.slots(i)].to_vec() };
+        let joints: Vec<String> = family.joints(atom.joint).iter().map(|j| m.scene.robot.joints[*j].clone()).collect();
+        let parameters = family.parameters(ctx, atom.joint, &atom.shape, &amplitude);
+        let term = Term { effect: family.id().to_owned(), joints, parameters };
+        if atom.carries.is_empty() {
+            model.terms.push(term.clone());
+        }
+        for (on, off) in &atom.carries {
+            let mut carry = term.clone();
+            carry.parameters.insert("t_on".into(), *on);
+            carry.parameters.insert("t_off".into(), *off);
+            model.terms.push(carry);
+        }
+    }
+    model.origin = format!("diagnosis of {} recordings", m.scene.names.len());
+    model.friction = friction;
+    model.noise = NoiseModel { sd_tau_nm: after_rms, sd_q_rad: Vec::new() };
+    model
 }

@@ -198,7 +198,7 @@ impl<'a> Search<'a> {
     }
 
     /// Prior precision of the columns of `model`.
-    fn precision(&self, model: &Model, more: &[&Atom]) -> Vec<f64> {
+    pub(crate) fn precision(&self, model: &Model, more: &[&Atom]) -> Vec<f64> {
         let late = |a: &Atom| self.families[a.family].id() == "torque_delay";
         let delayed = model.atoms.iter().any(late) || more.iter().any(|a| late(a));
         let mut out: Vec<f64> = model

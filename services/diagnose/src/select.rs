@@ -26,12 +26,16 @@ pub struct Selection {
     pub model: Model,
     /// Its fit.
     pub state: State,
+    /// Rivals of each effect in the model, with the effect's own merit first.
+    pub rivals: Vec<Rivals>,
     /// Stretches whose rows must not count because of what was found: the search is to be run again.
     pub blank: Vec<(f64, f64)>,
     /// Candidates of the last round that were not taken, best first, one per family.
     pub excluded: Vec<Ranked>,
 }
 
+/// How much better a rival must be to take an effect's place [nats].
+const SWAP_NATS: f64 = 8.0;
 /// How long a link may swing on after the beginning of a recording [s].
 const SWING_S: f64 = 0.4;
 
@@ -46,6 +50,17 @@ pub struct Seed {
     pub shape: Vec<f64>,
     /// Times in which it acts.
     pub carries: Vec<(f64, f64)>,
+}
+
+/// What else could explain what one effect explains.
+#[derive(Debug, Clone)]
+pub struct Rivals {
+    /// Effect in the model.
+    pub effect: &'static str,
+    /// Its merit [nats].
+    pub merit: f64,
+    /// Other effects and their merits, best first.
+    pub others: Vec<(&'static str, f64)>,
 }
 
 /// Facts about the recordings that candidates need, with the present model's torque.
@@ -268,6 +283,90 @@ impl Search<'_> {
         r.merit > 0.0 && r.score.size_nm[worst] > 0.9 * rms[worst]
     }
 
+    /// Replaces effects by better ones and tells what else there was.
+    fn swap(
+        &self,
+        base: &Base,
+        fixed: &[Atom],
+        model: &mut Model,
+        state: &mut State,
+        progress: &mut dyn FnMut(f64, &str),
+    ) -> Option<Vec<Rivals>> {
+        let mut out: Vec<Rivals> = Vec::new();
+        let mut swaps = 0;
+        let mut effects: Vec<&'static str> = Vec::new();
+        for a in &model.atoms {
+            let id = self.families[a.family].id();
+            if !effects.contains(&id) && !self.families[a.family].event {
+                effects.push(id);
+            }
+        }
+        for id in effects {
+            let mut without = model.clone();
+            let own: Vec<Atom> = model.atoms.iter().filter(|a| self.families[a.family].id() == id).cloned().collect();
+            without.atoms.retain(|a| self.families[a.family].id() != id);
+            if own.is_empty() {
+                continue;
+            }
+            let rest = self.fit(&mut without)?;
+            let ctx = context(self.scene, base, self, &without, Some(&rest));
+            let mut pool: Vec<Atom> =
+                fixed.iter().filter(|a| self.families[a.family].id() != id).cloned().collect();
+            let dynamic = self.candidates(&ctx, |f| f.dynamic && !f.driven && f.id() != id);
+            pool.extend(self.build(&ctx, dynamic));
+            let own = self.rank(&ctx, &without, &rest, own);
+            let merit = own.as_ref().map_or(0.0, |o| o.merit);
+            let mut ranked = self.round(&ctx, &without, &rest, &pool);
+            let mut top: Vec<Ranked> = Vec::new();
+            for r in &ranked {
+                let key = |r: &Ranked| (r.atoms[0].family, r.atoms.len());
+                if top.len() < 3 && !top.iter().any(|t| key(t) == key(r)) {
+                    top.push(r.clone());
+                }
+            }
+            let top: Vec<Ranked> = top.par_iter().map(|r| self.refined(&ctx, &without, &rest, r)).collect();
+            ranked.extend(top.iter().cloned());
+            ranked.sort_by(|a, b| b.merit.total_cmp(&a.merit));
+            if let Some(best) = ranked.first()
+                && best.merit > merit + SWAP_NATS
+                && self.counts(best)
+                && swaps < 3
+            {
+                let better = self.refined(&ctx, &without, &rest, best);
+                progress(0.8, &format!("{id} -> {}", self.label(&better)));
+                swaps += 1;
+                without.atoms.extend(better.atoms);
+                *model = without;
+                *state = self.fit(model)?;
+                self.prune(model, state, progress)?;
+                continue;
+            }
+            let mut others: Vec<(&'static str, f64)> = Vec::new();
+            for r in &ranked {
+                let other = self.families[r.atoms[0].family].id();
+                if other != id && !others.iter().any(|o| o.0 == other) && others.len() < 4 {
+                    others.push((other, r.merit));
+                }
+            }
+            out.push(Rivals { effect: id, merit, others });
+        }
+        Some(out)
+    }
+
+    /// Fit of the model without some of its terms, at the same weights.
+    pub fn fit_without(&self, model: &Model, state: &State, gone: &[usize]) -> Option<Fit> {
+        let mut target = state.target.clone();
+        let mut rest = model.clone();
+        for i in gone.iter().rev() {
+            let atom = rest.atoms.remove(*i);
+            for column in atom.columns.iter().filter(|_| atom.fixed) {
+                subtract(&mut target, column, -1.0);
+            }
+        }
+        let precision = self.precision(&rest, &[]);
+        Gram::new(&self.layout, &target, &rest.columns()).fit(&self.layout, &state.weights, &precision)
+    }
+
     /// Elastic joints and backlash, where a residual is large enough to be one: they are dear to simulate.
     fn driven(&self, ctx: &Context<'_>, model: &Model, state: &State, screen: bool) -> Vec<Atom> {
         let n = self.scene.joints;
@@ -381,10 +480,12 @@ impl Search<'_> {
             self.tell(&model, &state, progress);
             let blank = self.blanks(&model, seeds);
             if !blank.is_empty() {
-                return Some(Selection { model, state, blank, excluded });
+                return Some(Selection { model, state, rivals: Vec::new(), blank, excluded });
             }
         }
         self.prune(&mut model, &mut state, progress)?;
+        progress(0.75, "trying what else could explain it");
+        let rivals = self.swap(base, &fixed, &mut model, &mut state, progress)?;
         if let Ok(path) = std::env::var("DUMP") {
             let r = self.residual(&model, &state);
             let mut text = String::new();
@@ -398,7 +499,7 @@ impl Search<'_> {
             }
             let _ = std::fs::write(path, text);
         }
-        Some(Selection { model, state, blank: Vec::new(), excluded })
+        Some(Selection { model, state, rivals, blank: Vec::new(), excluded })
     }
 
     /// Tells the residual and what the tolerances took.
@@ -436,7 +537,7 @@ impl Search<'_> {
             let mut worst: Option<(usize, f64)> = None;
             for i in 0..model.atoms.len() {
                 let atom = &model.atoms[i];
-                let fit = self.without(model, state, i)?;
+                let fit = self.fit_without(model, state, &[i])?;
                 let loss = self.compare(state, &fit, &state.fit, Vec::new());
                 let size = loss.size_nm.iter().zip(&self.limits.floor_nm).map(|(s, f)| s / f).fold(0.0, f64::max);
                 let merit = loss.gain - self.limits.column * atom.width() as f64 - 0.5 * self.limits.entry[atom.family];
@@ -452,23 +553,8 @@ impl Search<'_> {
         }
     }
 
-    /// Fit of the model without term `i`, at the same weights.
-    pub(crate) fn without(&self, model: &Model, state: &State, i: usize) -> Option<Fit> {
-        if model.atoms[i].fixed {
-            let mut target = state.target.clone();
-            for column in &model.atoms[i].columns {
-                subtract(&mut target, column, -1.0);
-            }
-            let gram = Gram::new(&self.layout, &target, &model.columns());
-            return gram.fit(&self.layout, &state.weights, &state.precision);
-        }
-        let slots = model.slots(i);
-        let keep: Vec<usize> = (0..state.fit.beta.len()).filter(|s| !slots.contains(s)).collect();
-        let precision: Vec<f64> = keep.iter().map(|k| state.precision[*k]).collect();
-        state.gram.subset(&keep).fit(&self.layout, &state.weights, &precision)
-    }
-
-    fn label(&self, r: &Ranked) -> String {
+    /// A candidate in words.
+    pub fn label(&self, r: &Ranked) -> String {
         let a = &r.atoms[0];
         let joints: Vec<String> = r.atoms.iter().map(|a| (a.joint + 1).to_string()).collect();
         format!("{} [{}] {:.4?}", self.families[a.family].id(), joints.join(","), a.shape)

@@ -125,7 +125,7 @@ fn cannot_write(path: &Path, e: &dyn std::fmt::Display) -> Failure {
 }
 
 fn identify(files: &Files, method: Method, bar: &ProgressBar) -> Result<Outcome, Failure> {
-    let range = |path: &PathBuf| lacuna_identify::FileRange { path: path.clone(), from_s: None, to_s: None };
+    let range = |path: &PathBuf| lacuna_identify::FileRange { file: path.clone(), from_s: None, to_s: None };
     let options = Options {
         robot: files.robot.clone(),
         train: files.training.iter().map(range).collect(),
@@ -214,7 +214,7 @@ fn print_table_1(free: &Recorded, paper: &Outcome, ours: &Outcome) -> Result<(),
     if let Some(p) = &paper.identification.paper {
         println!("  ρ1 = {:.3}, ρ2 = {:.3}; f_v = {:.2?} Nm s/rad; f_c = {:.2?} Nm", p.rho1, p.rho2, p.f_v, p.f_c);
     }
-    let sd = |o: &Outcome| o.identification.held_out.std_nm.iter().map(|v| format!("{v:.2}")).collect::<Vec<_>>().join(", ");
+    let sd = |o: &Outcome| o.identification.held_out.score.std_nm.iter().map(|v| format!("{v:.2}")).collect::<Vec<_>>().join(", ");
     println!("  Offline on the same motion, σ per joint: paper's method {} Nm; all base parameters fitted together {} Nm.", sd(paper), sd(ours));
     Ok(())
 }

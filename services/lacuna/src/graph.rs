@@ -5,6 +5,7 @@ use crate::runs;
 use crate::supervise::{RunReport, Supervisor};
 use clap::Args;
 use lacuna_interfaces::graph::{GraphFile, Mode};
+use lacuna_interfaces::robot::TorqueUnit;
 use lacuna_stage::Failure;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -79,6 +80,9 @@ pub fn up(args: UpArgs) -> CommandResult {
         println!("{text}");
     } else if !args.quiet {
         print_summary(&graph, &report);
+        if robot.file.torque_unit != TorqueUnit::Nm {
+            println!("  all torques of this robot are in {}, as its file says", robot.file.torque_unit.symbol());
+        }
     }
     Ok(if report.lost > 0 { ExitCode::from(3) } else { ExitCode::SUCCESS })
 }

@@ -68,7 +68,9 @@ impl Sink for Process {
             streams,
             live,
             attachments: attachments(context)?,
-            facts: BTreeMap::from([("graph".to_owned(), context.graph.name.clone())]),
+            facts: [("graph", context.graph.name.as_str()), ("torque_unit", context.robot.torque_unit.symbol())]
+                .map(|(key, value)| (key.to_owned(), value.to_owned()))
+                .into(),
             config,
             recorder: None,
         })

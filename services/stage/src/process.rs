@@ -142,6 +142,16 @@ impl Process {
         Domain::join(&self.run, &self.node.name)
     }
 
+    /// What the source of this graph reads, as its configuration names it.
+    pub fn recording(&self) -> String {
+        let source = self.graph.nodes.iter().find(|n| n.inputs.is_empty());
+        match source.and_then(|n| n.config.get("recording")) {
+            Some(toml::Value::String(path)) => path.clone(),
+            Some(other) => other.to_string(),
+            None => source.map_or_else(|| "stream".to_owned(), |n| n.name.clone()),
+        }
+    }
+
     /// The one input of a stage.
     pub fn single_input(&self) -> Result<&str, Failure> {
         match self.node.inputs.as_slice() {

@@ -33,7 +33,7 @@ fn body<S: Stage>(process: &Process) -> Result<StageReport, Failure> {
     let mut output = Output::<S::Output>::open(&domain, &process.graph, topic, &process.stop)?;
     Event::Ready.emit();
 
-    let mut relay = Relay { restarts: process.restarts, error: None, last_seq: 0 };
+    let mut relay = Relay::new(process);
     let mut pulse = Pulse::new();
     let mut joints = process.robot.file.joint_count() as u32;
     'stream: loop {
@@ -93,14 +93,32 @@ struct Relay {
     restarts: u32,
     error: Option<Failure>,
     last_seq: u64,
+    /// What is replayed, to name it in an error; `None` for a live graph.
+    replayed: Option<String>,
 }
 
 impl Relay {
+    fn new(process: &Process) -> Self {
+        let replayed = (process.graph.mode == Mode::Replay).then(|| process.recording());
+        Self { restarts: process.restarts, error: None, last_seq: 0, replayed }
+    }
+
     fn send<W: Wire>(&mut self, output: &mut Output<W>, message: &W) {
         if self.error.is_some() {
             return;
         }
         self.last_seq = message.header().seq;
+        // Live, the flag travels and the robot goes on; a recording that leaves the workspace is not this robot's.
+        if let Some(recording) = &self.replayed
+            && message.header().has(flag::UNREACHABLE)
+        {
+            let t_s = message.header().stamp_ns as f64 * 1e-9;
+            self.error = Some(Failure::usage(format!(
+                "{recording}: sample {} at {t_s:.6} s: found a pose outside the workspace of the robot file; expected a recording of this robot",
+                self.last_seq
+            )));
+            return;
+        }
         let result = if self.restarts == 0 {
             output.send(message)
         } else {

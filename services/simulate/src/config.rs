@@ -184,7 +184,7 @@ impl SimulationConfig {
             return Err(BadInput::new("trajectory: found none; expected at least one"));
         }
         for (i, t) in self.trajectories.iter().enumerate() {
-            range(&format!("trajectory[{i}].duration_s"), t.duration_s, 0.5, 36_000.0)?;
+            range(&format!("trajectory[{i}].duration_s"), t.duration_s, 0.5, 7_200.0)?;
             range(&format!("trajectory[{i}].intensity"), t.intensity, 0.01, 1.0)?;
         }
         for (key, list) in [

@@ -16,6 +16,7 @@ pub mod config;
 pub mod control;
 pub mod demo;
 pub mod effects;
+pub mod log;
 pub mod oracle;
 pub mod output;
 pub mod plant;

@@ -4,8 +4,8 @@
 //! positions give), then a zero-phase 40 Hz low-pass: sensor noise and what the encoder's noise makes of the
 //! acceleration.
 
+use crate::log::Logged;
 use crate::plant::TrueRobot;
-use crate::run::Logged;
 use crate::truth::pooled_rms;
 use lacuna_interfaces::{Joints, Recording};
 use serde::{Deserialize, Serialize};

@@ -1,7 +1,7 @@
 //! Recordings as files: CSV, manifest, truth.
 
+use crate::log::Logged;
 use crate::random::Random;
-use crate::run::Logged;
 use crate::simulation::Simulation;
 use lacuna_interfaces::{BadInput, Recording, RobotFile};
 use serde::{Deserialize, Serialize};

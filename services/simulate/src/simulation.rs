@@ -2,6 +2,8 @@
 
 use crate::config::{FrictionConfig, SimulationConfig};
 use crate::effects::{self, Scales};
+
+use crate::log::Logged;
 use crate::oracle::Oracle;
 use crate::output::{Manifest, ManifestFile, recording_of};
 use crate::plant::friction::JointFriction;
@@ -9,7 +11,7 @@ use crate::plant::robot::TipEvent;
 use crate::plant::{Mechanism, TrueRobot};
 use crate::random::Random;
 use crate::reference::{self, MotionLimits, Reference};
-use crate::run::{Logged, Setup, run};
+use crate::run::{Setup, run};
 use crate::truth::{BaseFriction, EffectTruth, EventTruth, NoiseTruth, Truth, pooled_rms};
 use lacuna_interfaces::{BadInput, Joints, Recording, RobotFile};
 use rayon::prelude::*;
@@ -42,6 +44,7 @@ mod stream {
     pub const REFERENCES: u64 = 1 << 20;
     pub const TRAJECTORY: u64 = 1 << 21;
     pub const TEMPERATURE: u64 = 3 << 20;
+    pub const LOG: u64 = 5 << 20;
 }
 
 /// Simulates closed-loop recordings of `robot`; `urdf` is the text of the URDF that the robot file names.
@@ -139,8 +142,8 @@ impl<'a> Study<'a> {
             spikes_per_s: noise.spikes_per_s,
         };
         let trajectory = |(k, (plan, events)): (usize, (&Plan, &Vec<TipEvent>))| {
-            let mut random = Random::new(self.config.seed, stream::TRAJECTORY + k as u64);
-            run(&setup, plan.reference.as_ref(), events, plan.duration_s, plan.start_s, &mut random)
+            let random = [stream::TRAJECTORY, stream::LOG].map(|s| Random::new(self.config.seed, s + k as u64));
+            run(&setup, plan.reference.as_ref(), events, plan.duration_s, plan.start_s, random)
         };
         plans.par_iter().zip(&scene.events).enumerate().map(trajectory).collect()
     }

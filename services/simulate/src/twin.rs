@@ -216,15 +216,17 @@ fn rigid_body(fitted: &mut TrueRobot, robot: &RobotFile, model: &ModelFile) -> R
             }
         }
     }
-    fitted
-        .inertia_diagonal(&{
-            let limits = crate::reference::MotionLimits::of(robot);
-            let mut q = Joints::default();
-            (0..robot.joint_count()).for_each(|i| q[i] = 0.5 * (limits.q_min[i] + limits.q_max[i]));
-            q
-        })
-        .map(|_| ())
-        .map_err(|e| BadInput::new(format!("twin: the model cannot be simulated: {}", e.what)))
+    // A fit may leave parameters that no body has; as long as the inertia matrix is positive it can move.
+    let limits = crate::reference::MotionLimits::of(robot);
+    let mut q = Joints::default();
+    (0..robot.joint_count()).for_each(|i| q[i] = 0.5 * (limits.q_min[i] + limits.q_max[i]));
+    if fitted.inertia_is_positive(&q) {
+        Ok(())
+    } else {
+        Err(BadInput::new(
+            "twin: the model's inertia matrix is not positive definite at mid-range; expected one that can be simulated",
+        ))
+    }
 }
 
 fn unknown(symbol: &str) -> BadInput {

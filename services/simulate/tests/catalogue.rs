@@ -7,9 +7,9 @@ use lacuna_physics::Motion;
 use lacuna_physics::effects::{EffectContext, TermInput, Terms};
 use lacuna_simulate::config::{FrictionConfig, NoiseConfig, TrajectoryGroup};
 use lacuna_simulate::demo::DEMO_ROBOT;
+use lacuna_simulate::log::Logged;
 use lacuna_simulate::random::Random;
 use lacuna_simulate::reference::Kinds;
-use lacuna_simulate::run::Logged;
 use lacuna_simulate::{Simulation, SimulationConfig, TrueEffect, simulate};
 
 fn quiet(robot: &RobotFile, effect: &TrueEffect, fc: &[f64], fv: &[f64]) -> Simulation {

@@ -76,6 +76,25 @@ fn positions_come_in_encoder_steps_and_torques_carry_the_stated_noise() {
 }
 
 #[test]
+fn spikes_are_single_samples_at_the_stated_rate() {
+    let mut config = short();
+    config.noise.spikes_per_s = 3.0;
+    let spiky = simulate(&robot(), None, &config).unwrap();
+    config.noise.spikes_per_s = 0.0;
+    let clean = simulate(&robot(), None, &config).unwrap();
+    let mut spikes = 0;
+    for (a, b) in spiky.recordings.iter().zip(&clean.recordings) {
+        for i in 0..3 {
+            let off: Vec<f64> = a.tau_nm[i].iter().zip(&b.tau_nm[i]).map(|(x, y)| (x - y).abs()).collect();
+            let far = 15.0 * spiky.truth.noise.torque_nm[i];
+            spikes += off.iter().filter(|d| **d > far).count();
+        }
+    }
+    // 3 per second and joint over 4 × 1.5 s × 3 joints: 54 are expected, 30 to 80 is within 3.5 σ.
+    assert!((30..80).contains(&spikes), "{spikes}");
+}
+
+#[test]
 fn a_file_reads_back_as_the_recording() {
     let mut config = short();
     config.log.temperature = true;

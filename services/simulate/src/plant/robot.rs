@@ -332,6 +332,16 @@ impl TrueRobot {
         loads
     }
 
+    /// True if the inertia matrix at `q`, rotors included, is positive definite.
+    pub fn inertia_is_positive(&self, q: &Joints) -> bool {
+        let mut d = super::Dynamics::default();
+        if self.mechanism.dynamics(q, &Joints::default(), &self.loads(0.0, &[]), &mut d).is_err() {
+            return false;
+        }
+        self.joints.iter().enumerate().for_each(|(i, joint)| d.inertia[i][i] += joint.rotor);
+        super::linalg::invert_spd(&d.inertia, self.joints.len()).is_some()
+    }
+
     /// Inertia matrix at `q` with rotors, as a rigid drive feels it; the diagonal serves gain tuning.
     ///
     /// # Errors

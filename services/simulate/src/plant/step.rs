@@ -33,6 +33,27 @@ struct Level {
     negative: f64,
 }
 
+/// Positions and velocities in the middle of a step.
+struct Middle {
+    t: f64,
+    q: Joints,
+    motor: Joints,
+    qd: Joints,
+    v: Velocities,
+}
+
+/// What acts during a step.
+struct Forces {
+    force: Velocities,
+    levels: [Level; CONTACTS],
+    /// Levels in use.
+    contacts: usize,
+    /// Torque that each spring passes to its link; none: rigid.
+    passed: [Option<f64>; MAX_JOINTS],
+    /// Smooth friction and torques on the motors.
+    resisting: Joints,
+}
+
 /// The robot in motion.
 #[derive(Debug, Clone)]
 pub struct Stepper<'a> {
@@ -147,55 +168,70 @@ impl<'a> Stepper<'a> {
     /// [`Unreachable`] if the robot leaves its workspace or its inertia matrix degenerates.
     pub fn step(&mut self, t: f64, drive: &Joints) -> Result<(), Unreachable> {
         let n = self.robot.joints.len();
-        let dt = self.dt;
-        let half = 0.5 * dt;
-        let middle = t + half;
-        let mut v_mid = self.v;
-        for (v, a) in v_mid.iter_mut().zip(&self.a) {
-            *v += half * a;
-        }
-        let (mut q_mid, mut motor_mid, mut qd_mid) = (self.q, self.motor, Joints::default());
-        qd_mid.copy_from_slice(&v_mid[..MAX_JOINTS]);
-        for i in 0..n {
-            q_mid[i] += half * self.v[i];
-            motor_mid[i] += half * self.v[self.motor_dof(i)];
-        }
-        let loads = self.robot.loads(middle, self.events);
-        self.robot.mechanism.dynamics(&q_mid, &qd_mid, &loads, &mut self.dynamics)?;
-
-        let mut force: Velocities = [0.0; DOFS];
-        let mut levels = [Level::default(); CONTACTS];
-        let mut spring_load = [None; MAX_JOINTS];
-        let mut resisting = Joints::default();
-        for i in 0..n {
-            let (passed, motor_force) = self.joint_force(i, &q_mid, &motor_mid, &v_mid, middle, &mut levels[i]);
-            let m = self.motor_dof(i);
-            force[i] -= self.dynamics.bias[i] + self.link_torque(i, q_mid[i]);
-            force[m] += drive[i] - motor_force;
-            resisting[i] = motor_force;
-            if let Some(passed) = passed {
-                force[i] += passed;
-                force[m] -= passed;
-                spring_load[i] = Some(passed);
-            }
-        }
-        self.add_cross_ripples(&q_mid, &mut force);
-        let mut inertia = self.dynamics.inertia;
-        let mut motor_inverse = Joints::default();
+        let middle = self.middle(t);
+        let loads = self.robot.loads(middle.t, self.events);
+        self.robot.mechanism.dynamics(&middle.q, &middle.qd, &loads, &mut self.dynamics)?;
+        let mut forces = self.forces(&middle, drive);
+        let mut inverse = Inverse { link: self.dynamics.inertia, motor: Joints::default(), n };
         for (i, joint) in self.robot.joints.iter().enumerate() {
             if joint.transmission.is_some() {
-                motor_inverse[i] = 1.0 / joint.rotor;
+                inverse.motor[i] = 1.0 / joint.rotor;
             } else {
-                inertia[i][i] += joint.rotor;
+                inverse.link[i][i] += joint.rotor;
             }
         }
-        let contacts = self.add_couplings(n, &mut inertia, &v_mid, &mut force, &mut levels);
-        let inverse = Inverse { link: invert_spd(&inertia, n).ok_or(Unreachable)?, motor: motor_inverse, n };
+        self.add_couplings(&middle.v, &mut inverse.link, &mut forces);
+        inverse.link = invert_spd(&inverse.link, n).ok_or(Unreachable)?;
         let mut next = self.v;
-        inverse.add(&mut next, &force, dt);
-        self.solve_friction(&inverse, &levels[..contacts], &mut next);
+        inverse.add(&mut next, &forces.force, self.dt);
+        self.solve_friction(&inverse, &forces.levels[..forces.contacts], &mut next);
+        self.advance(&next, drive, &forces);
+        if self.v[..n].iter().all(|v| v.is_finite()) { Ok(()) } else { Err(Unreachable) }
+    }
 
+    /// Half a step ahead: positions drift, velocities are extrapolated by the last acceleration.
+    fn middle(&self, t: f64) -> Middle {
+        let half = 0.5 * self.dt;
+        let mut m = Middle { t: t + half, q: self.q, motor: self.motor, qd: Joints::default(), v: self.v };
+        for (v, a) in m.v.iter_mut().zip(&self.a) {
+            *v += half * a;
+        }
+        m.qd.copy_from_slice(&m.v[..MAX_JOINTS]);
+        for i in 0..self.robot.joints.len() {
+            m.q[i] += half * self.v[i];
+            m.motor[i] += half * self.v[self.motor_dof(i)];
+        }
+        m
+    }
+
+    /// All smooth forces and all friction levels of the joints; `self.dynamics` is that of the middle.
+    fn forces(&self, middle: &Middle, drive: &Joints) -> Forces {
+        let n = self.robot.joints.len();
+        let mut f = Forces {
+            force: [0.0; DOFS],
+            levels: [Level::default(); CONTACTS],
+            contacts: n,
+            passed: [None; MAX_JOINTS],
+            resisting: Joints::default(),
+        };
         for i in 0..n {
+            let m = self.motor_dof(i);
+            (f.passed[i], f.resisting[i]) = self.joint_force(i, middle, &mut f.levels[i]);
+            f.force[i] -= self.dynamics.bias[i] + self.link_torque(i, middle.q[i]);
+            f.force[m] += drive[i] - f.resisting[i];
+            if let Some(passed) = f.passed[i] {
+                f.force[i] += passed;
+                f.force[m] -= passed;
+            }
+        }
+        self.add_cross_ripples(&middle.q, &mut f.force);
+        f
+    }
+
+    /// Takes over the new velocities: the second half of the drift, loads and bristles.
+    fn advance(&mut self, next: &Velocities, drive: &Joints, forces: &Forces) {
+        let half = 0.5 * self.dt;
+        for (i, joint) in self.robot.joints.iter().enumerate() {
             let m = self.motor_dof(i);
             let moved = half * (self.v[m] + next[m]);
             self.motor[i] += moved;
@@ -204,9 +240,10 @@ impl<'a> Stepper<'a> {
             } else {
                 self.q[i] += half * (self.v[i] + next[i]);
             }
-            let joint = &self.robot.joints[i];
-            self.load[i] = spring_load[i]
-                .unwrap_or_else(|| drive[i] - resisting[i] - self.lambda[i] - joint.rotor * (next[i] - self.v[i]) / dt);
+            self.load[i] = forces.passed[i].unwrap_or_else(|| {
+                let rotor = joint.rotor * (next[i] - self.v[i]) / self.dt;
+                drive[i] - forces.resisting[i] - self.lambda[i] - rotor
+            });
             if let Some(bristle) = &joint.friction.presliding {
                 self.bristle[i] = bristle.moved(&self.bristle[i], moved);
             }
@@ -215,26 +252,18 @@ impl<'a> Stepper<'a> {
             }
         }
         for (k, a) in self.a.iter_mut().enumerate() {
-            *a = (next[k] - self.v[k]) / dt;
+            *a = (next[k] - self.v[k]) / self.dt;
         }
-        self.v = next;
-        if self.v[..n].iter().all(|v| v.is_finite()) { Ok(()) } else { Err(Unreachable) }
+        self.v = *next;
     }
 
     /// Spring torque to the link (if there is a spring), smooth torque on the motor, and the friction level.
-    fn joint_force(
-        &self,
-        i: usize,
-        q: &Joints,
-        motor: &Joints,
-        v: &Velocities,
-        t: f64,
-        level: &mut Level,
-    ) -> (Option<f64>, f64) {
+    fn joint_force(&self, i: usize, middle: &Middle, level: &mut Level) -> (Option<f64>, f64) {
+        let Middle { t, q, motor, v, .. } = middle;
         let joint = &self.robot.joints[i];
         let m = self.motor_dof(i);
         let passed = joint.transmission.map(|s| s.torque(motor[i] - q[i], v[m] - v[i]));
-        let contact = Contact { q: motor[i], v: v[m], load: self.load[i], warm_s: self.warm_offset_s + t };
+        let contact = Contact { q: motor[i], v: v[m], load: self.load[i], warm_s: self.warm_offset_s + *t };
         let mut torque = joint.friction.drag(&contact);
         for term in joint.torque.iter().filter(|term| !term.on_link()) {
             torque += term.at(motor[i]);
@@ -269,17 +298,9 @@ impl<'a> Stepper<'a> {
         }
     }
 
-    /// Adds coupled motors; returns the number of contacts.
-    fn add_couplings(
-        &self,
-        n: usize,
-        inertia: &mut JointMatrix,
-        v: &Velocities,
-        force: &mut Velocities,
-        levels: &mut [Level; CONTACTS],
-    ) -> usize {
-        let mut contacts = n;
-        for c in self.robot.couplings.iter().take(CONTACTS - n) {
+    /// Adds coupled motors: inertia, viscous force and a contact each.
+    fn add_couplings(&self, v: &Velocities, inertia: &mut JointMatrix, forces: &mut Forces) {
+        for c in self.robot.couplings.iter().take(CONTACTS - forces.contacts) {
             let along = [(c.motor, 1.0), (c.felt, c.ratio)];
             for (a, ca) in along {
                 for (b, cb) in along {
@@ -288,12 +309,11 @@ impl<'a> Stepper<'a> {
             }
             let speed = v[c.motor] + c.ratio * v[c.felt];
             for (a, ca) in along {
-                force[a] -= ca * c.viscous * speed;
+                forces.force[a] -= ca * c.viscous * speed;
             }
-            levels[contacts] = Level { along, positive: c.coulomb, negative: c.coulomb };
-            contacts += 1;
+            forces.levels[forces.contacts] = Level { along, positive: c.coulomb, negative: c.coulomb };
+            forces.contacts += 1;
         }
-        contacts
     }
 
     /// Finds λ of every contact and subtracts its impulse from `v`.

@@ -8,7 +8,8 @@ use crate::evaluate::Tally;
 use crate::fit::{Solution, Why};
 use crate::identify::{Held, Method, Options, Split, time_ranges};
 use crate::outcome::{
-    Conditions, HeldOut, Identification, JointCurves, Merged, NotExcited, Outcome, ParameterRow, ReportData, SCHEMA,
+    Conditions, Consistency, HeldOut, Identification, JointCurves, Merged, NotExcited, Outcome, ParameterRow,
+    ReportData, SCHEMA,
 };
 use crate::paper::ErrorTable;
 use crate::rows::Rows;
@@ -83,7 +84,10 @@ pub(crate) fn account(a: &Account<'_>) -> Result<Outcome, BadInput> {
         delay: a.delay,
         bristle_rad: a.bristle_rad.to_vec(),
         conditioning: a.plan.clone(),
-        consistency: None,
+        consistency: a.held.consistent.as_ref().map(|(c, free)| Consistency {
+            free_relative_error: *free,
+            training_residual_ratio: (c.constrained / c.free).sqrt(),
+        }),
         paper: a.held.paper.as_ref().map(|(_, r)| r.clone()),
         repairs: a.conditioned.iter().flat_map(|c| c.repairs.clone()).collect(),
         warnings: warnings::all(&findings),
@@ -125,8 +129,9 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
     for &b in &a.solution.excited {
         let base = &s.base[b];
         let column = &s.columns[base.column];
-        let (value, half) = (a.solution.beta[b], a.solution.half_width(b));
-        let ci95 = [value - half, value + half];
+        let (free, half) = (a.solution.beta[b], a.solution.half_width(b));
+        let ci95 = [free - half, free + half];
+        let value = a.held.consistent.as_ref().map_or(free, |(c, _)| c.beta[b]);
         let contribution_nm = contribution(a, b) * value.abs();
         let rigid = matches!(column.term, Term::Rigid(_)) && base.nominal != 0.0;
         // An interval that includes zero says nothing, unless there is a nominal value that it is narrower than.
@@ -189,6 +194,10 @@ fn model(a: &Account<'_>, identification: &Identification) -> ModelFile {
     let mut values: BTreeMap<usize, f64> = BTreeMap::new();
     for (b, base) in s.base.iter().enumerate() {
         values.insert(base.column, a.solution.beta[b]);
+    }
+    if let Some((consistent, _)) = &a.held.consistent {
+        // Links that could exist: nothing is merged.
+        values = consistent.values.iter().copied().enumerate().collect();
     }
     for (c, column) in s.columns.iter().enumerate() {
         let value = values.get(&c).copied().unwrap_or(0.0);

@@ -70,11 +70,7 @@ fn best(
     let rest: Vec<f64> = used.iter().map(|&k| joint.y[k] - model[k] + f_c * sign[k]).collect();
     let half = used.len() / 2;
     let misfits = |c: &[f64]| {
-        [
-            misfit(&rest, &used, c),
-            misfit(&rest[..half], &used[..half], c),
-            misfit(&rest[half..], &used[half..], c),
-        ]
+        [misfit(&rest, &used, c), misfit(&rest[..half], &used[..half], c), misfit(&rest[half..], &used[half..], c)]
     };
     let by_sign = misfits(&sign);
     let mut least = by_sign[0];

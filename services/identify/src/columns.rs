@@ -80,13 +80,7 @@ pub fn columns(body: &dyn RigidBody, signal: Signal, torque_unit: &str) -> Vec<C
         let p = &body.parameters()[k];
         // In a unit other than Nm a parameter is its SI value times the signal's unit per Nm.
         let unit = if torque_unit == "Nm" { p.unit.to_owned() } else { format!("{} {torque_unit}/Nm", p.unit) };
-        Column {
-            term: Term::Rigid(k),
-            symbol: p.symbol.clone(),
-            unit,
-            nominal: p.nominal,
-            meaning: p.meaning.clone(),
-        }
+        Column { term: Term::Rigid(k), symbol: p.symbol.clone(), unit, nominal: p.nominal, meaning: p.meaning.clone() }
     }));
     out
 }

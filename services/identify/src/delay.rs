@@ -86,8 +86,7 @@ pub fn estimate(
     let score_of = |gram: &Gram, d: f64| {
         let (xtx, xty) = (gram.xtx(), gram.xty());
         let rate_e = xty[p] - (0..p).map(|i| gamma[i] * xty[i]).sum::<f64>();
-        let rate_rate = xtx[(p, p)]
-            - 2.0 * (0..p).map(|i| gamma[i] * xtx[(i, p)]).sum::<f64>()
+        let rate_rate = xtx[(p, p)] - 2.0 * (0..p).map(|i| gamma[i] * xtx[(i, p)]).sum::<f64>()
             + (0..p).map(|a| (0..p).map(|b| gamma[a] * gamma[b] * xtx[(a, b)]).sum::<f64>()).sum::<f64>();
         rate_e + d * rate_rate
     };
@@ -111,7 +110,8 @@ fn torque_rate(rows: &Rows, signal: &[f64]) -> Option<Vec<f64>> {
         if k < signal.len() && rows.stretch[k] == rows.stretch[start] {
             continue;
         }
-        let period = if k - start > 1 { (rows.time_s[k - 1] - rows.time_s[start]) / (k - 1 - start) as f64 } else { 0.0 };
+        let period =
+            if k - start > 1 { (rows.time_s[k - 1] - rows.time_s[start]) / (k - 1 - start) as f64 } else { 0.0 };
         // Seven points are needed; a stretch of fewer rows adds nothing.
         if k - start >= 7 {
             let part = differentiate(&signal[start..k], period, Stencil::Seven, 1).ok()?;

@@ -77,10 +77,8 @@ impl Tally {
 
     /// The pooled score; `None` without a test row.
     pub fn score(&self) -> Option<Score> {
-        let (e, t) = self
-            .joints
-            .iter()
-            .fold((0.0, 0.0), |(e, t), j| (e + j.scaled_error_squared, t + j.scaled_torque_squared));
+        let (e, t) =
+            self.joints.iter().fold((0.0, 0.0), |(e, t), j| (e + j.scaled_error_squared, t + j.scaled_torque_squared));
         if t.is_nan() || t <= 0.0 {
             return None;
         }
@@ -105,8 +103,7 @@ pub fn training_scale(rows: &Rows, train: &[bool]) -> Vec<f64> {
     rows.joints
         .iter()
         .map(|j| {
-            let values: Vec<f64> =
-                (0..rows.len()).filter(|&k| train[k] && j.usable[k]).map(|k| j.y[k]).collect();
+            let values: Vec<f64> = (0..rows.len()).filter(|&k| train[k] && j.usable[k]).map(|k| j.y[k]).collect();
             let sd = lacuna_estimation::stats::standard_deviation(&values);
             if sd.is_finite() && sd > 0.0 { sd } else { 1.0 }
         })

@@ -88,7 +88,7 @@ pub struct Solution {
     pub condition: f64,
     /// Condition number before unexcited columns were left out.
     pub condition_all: f64,
-    /// (XᵀWX)⁻¹ and XᵀWy over the excited columns, for constrained variants of the fit.
+    /// XᵀWX and XᵀWy over all base columns, for constrained variants of the fit.
     pub(crate) normal: Gram,
 }
 
@@ -113,7 +113,8 @@ pub fn student_975(freedom: usize) -> f64 {
     }
     let v = freedom as f64;
     let (z3, z5) = (z.powi(3), z.powi(5));
-    z + (z3 + z) / (4.0 * v) + (5.0 * z5 + 16.0 * z3 + 3.0 * z) / (96.0 * v * v)
+    z + (z3 + z) / (4.0 * v)
+        + (5.0 * z5 + 16.0 * z3 + 3.0 * z) / (96.0 * v * v)
         + (3.0 * z.powi(7) + 19.0 * z5 + 17.0 * z3 - 15.0 * z) / (384.0 * v * v * v)
 }
 
@@ -260,8 +261,7 @@ impl Problem<'_> {
     fn excited(&self, sums: &BlockSums<Gram>, rms: &[f64]) -> Result<(Choice, f64), BadInput> {
         let total = sums.total().ok_or_else(nothing)?;
         let base = &self.structure.base;
-        let (moved, zero): (Vec<usize>, Vec<usize>) =
-            (0..base.len()).partition(|&b| rms[b] > SILENT * base[b].typical);
+        let (moved, zero): (Vec<usize>, Vec<usize>) = (0..base.len()).partition(|&b| rms[b] > SILENT * base[b].typical);
         let root = column_root(&total.select(&moved).xtx());
         let nominal = self.nominal();
         for tolerance in DATA_TOLERANCE {
@@ -445,9 +445,9 @@ impl Problem<'_> {
         (beta, covariance, blocks): (DVector<f64>, DMatrix<f64>, usize),
         spread: Spread,
     ) -> Result<Solution, BadInput> {
-        let normal = sums.total().ok_or_else(nothing)?.select(&choice.excited);
+        let normal = sums.total().ok_or_else(nothing)?;
         Ok(Solution {
-            condition: normal.condition(),
+            condition: normal.select(&choice.excited).condition(),
             condition_all: spread.condition_all,
             beta,
             covariance,

@@ -5,6 +5,7 @@ use crate::base::{Structure, structure};
 use crate::bristle;
 use crate::columns::{Signal, columns};
 use crate::condition::{Conditioned, Conditioning, Plan, condition};
+use crate::consistent::{self, Consistent};
 use crate::delay::{self, Delay, DelayEstimate};
 use crate::evaluate::{Score, Tally, Which, training_scale};
 use crate::fit::{FitSettings, Solution, fit, predict};
@@ -62,7 +63,7 @@ pub struct Options {
     pub signal: Signal,
     /// Bound the influence of outliers.
     pub robust: bool,
-    /// Also fit with positive definite pseudo-inertias, and use that model if its cost is small.
+    /// Fit with positive definite pseudo-inertias and positive friction; the cost in fit is accounted for.
     pub consistent: bool,
     /// Delay between torque and position.
     pub delay: Delay,
@@ -124,7 +125,9 @@ pub fn identify_recordings(
     progress: &mut dyn FnMut(f64, &str),
 ) -> Result<Outcome, BadInput> {
     if options.method == crate::Method::Paper && body.as_delta().is_none() {
-        return Err(BadInput::new("method: found paper for a robot of kind \"serial\"; expected one of kind \"delta\""));
+        return Err(BadInput::new(
+            "method: found paper for a robot of kind \"serial\"; expected one of kind \"delta\"",
+        ));
     }
     if options.signal == Signal::MotorMinusLink {
         recordings.iter_mut().try_for_each(|r| subtract_link_torque(r, robot))?;
@@ -158,7 +161,7 @@ pub fn identify_recordings(
     }
     progress(0.7, "holding out");
     let names: Vec<String> = recordings.iter().map(|r| r.name.clone()).collect();
-    let held = hold_out(options, &structure, &data.rows, &split, &solution, &names)?;
+    let held = hold_out(options, body, &structure, &data.rows, &split, &solution, &names)?;
     progress(0.9, "accounting");
     account::account(&Account {
         options,
@@ -293,7 +296,8 @@ impl Data {
             .collect::<Result<_, _>>()?;
         let total: f64 = recordings.iter().map(Recording::duration_s).sum();
         let shortest = 8.0 / plan.band_hz;
-        let block_s = block_s.filter(|b| b.is_finite() && *b > 0.0).unwrap_or((total / 100.0).clamp(shortest, shortest.max(2.0)));
+        let block_s =
+            block_s.filter(|b| b.is_finite() && *b > 0.0).unwrap_or((total / 100.0).clamp(shortest, shortest.max(2.0)));
         let rows = rows(body, structure, &conditioned, &plan, block_s)?;
         if rows.is_empty() {
             return Err(BadInput::new("found no rows between the ends of the recordings; expected longer recordings"));
@@ -352,8 +356,7 @@ impl Split {
                 test_ranges: test.clone(),
             });
         }
-        let holdout =
-            options.holdout.unwrap_or(if recordings > 1 { Holdout::Recordings } else { Holdout::Halves });
+        let holdout = options.holdout.unwrap_or(if recordings > 1 { Holdout::Recordings } else { Holdout::Halves });
         let name = match holdout {
             Holdout::Recordings => "recordings".to_owned(),
             Holdout::Halves => "halves".to_owned(),
@@ -382,10 +385,13 @@ pub(crate) struct Held {
     pub(crate) model: Vec<Vec<f64>>,
     pub(crate) held_out: Vec<bool>,
     pub(crate) paper: Option<(PaperModels, PaperResult)>,
+    /// The constrained fit, and the held-out error of the free one.
+    pub(crate) consistent: Option<(Consistent, f64)>,
 }
 
 fn hold_out(
     options: &Options,
+    body: &dyn RigidBody,
     structure: &Structure,
     rows: &Rows,
     split: &Split,
@@ -396,11 +402,18 @@ fn hold_out(
     let nominal = DVector::from_iterator(structure.base.len(), structure.base.iter().map(|b| b.nominal));
     let by_paper = options.method == Method::Paper;
     let final_paper = if by_paper { Some(paper::fit(structure, rows, &split.train, names)?) } else { None };
-    let final_beta = final_paper.as_ref().map_or(&solution.beta, |(m, _)| &m.with_friction);
+    let final_consistent = if options.consistent { Some(consistent::fit(body, structure, solution)?) } else { None };
+    let final_beta = match (&final_paper, &final_consistent) {
+        (Some((models, _)), _) => &models.with_friction,
+        (None, Some(c)) => &c.beta,
+        (None, None) => &solution.beta,
+    };
     let mut model: Vec<Vec<f64>> = (0..n).map(|j| predict(structure, rows, final_beta, j)).collect();
     let mut held_out = vec![false; rows.len()];
     let (mut tally, mut bare, mut standing) = (Tally::default(), Tally::default(), Tally::default());
+    let mut free = Tally::default();
     let mut table: [Tally; 4] = Default::default();
+    let mut table_moving: [Tally; 4] = Default::default();
     let mut folds = Vec::new();
     let stands = rows.joints.iter().any(|j| {
         let idle = j.usable.iter().zip(&j.counted).filter(|(u, c)| **u && !**c).count();
@@ -413,7 +426,9 @@ fn hold_out(
         let at_rest = FitSettings { standstill: true, ..settings };
         let rested = if stands { Some(fit(structure, rows, &fold.train, at_rest)?) } else { None };
         let papers = if by_paper { Some(paper::fit(structure, rows, &fold.train, names)?.0) } else { None };
-        let beta = papers.as_ref().map_or(&own.beta, |m| &m.with_friction);
+        let bound =
+            if options.consistent && !by_paper { Some(consistent::fit(body, structure, &own)?.beta) } else { None };
+        let beta = papers.as_ref().map(|m| &m.with_friction).or(bound.as_ref()).unwrap_or(&own.beta);
         let scale = training_scale(rows, &fold.train);
         let mut alone = Tally::default();
         for j in 0..n {
@@ -425,12 +440,17 @@ fn hold_out(
             let predicted = add(&mut tally, beta, Which::Counted);
             add(&mut alone, beta, Which::Counted);
             add(&mut bare, &nominal, Which::Counted);
+            if options.consistent {
+                add(&mut free, &own.beta, Which::Counted);
+            }
             if let Some(rested) = &rested {
                 add(&mut standing, &rested.beta, Which::Usable);
             }
             if let Some(p) = &papers {
-                for (t, b) in table.iter_mut().zip([&p.nominal, &p.identified, &p.with_friction, &own.beta]) {
-                    add(t, b, Which::Usable);
+                let models = [&p.nominal, &p.identified, &p.with_friction, &own.beta];
+                for (i, b) in models.into_iter().enumerate() {
+                    add(&mut table[i], b, Which::Usable);
+                    add(&mut table_moving[i], b, Which::Counted);
                 }
             }
             for k in (0..rows.len()).filter(|&k| fold.test[k]) {
@@ -447,7 +467,9 @@ fn hold_out(
     })?;
     let has_masses = nominal.iter().any(|v| *v != 0.0);
     let paper = final_paper.map(|(models, mut result)| {
-        result.table1 = account::error_tables(&["M_KH", "M_Id", "M_Id+F", "pooled"], &table);
+        let names = ["M_KH", "M_Id", "M_Id+F", "pooled"];
+        result.table1 = account::error_tables(&names, &table);
+        result.table1_moving = account::error_tables(&names, &table_moving);
         (models, result)
     });
     Ok(Held {
@@ -458,6 +480,7 @@ fn hold_out(
         model,
         held_out,
         paper,
+        consistent: final_consistent.zip(free.score().map(|s| s.relative_error)),
     })
 }
 

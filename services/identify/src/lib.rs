@@ -11,6 +11,7 @@
 //! | [`columns`], [`base`], [`rows`] | the linear model, its minimal identifiable set, its filtered rows |
 //! | [`fit`] | weighted robust fit with a covariance for correlated residuals |
 //! | [`bristle`], [`delay`] | nuisances: Coulomb friction after a reversal, torque delay |
+//! | [`consistent`] | links that could exist: positive definite pseudo-inertias |
 //! | [`split`], [`evaluate`] | what is held out, and the error there |
 //! | [`paper`] | the founding paper's grid search and averages |
 //! | [`outcome`] | the files and the data of the report |
@@ -20,6 +21,7 @@ pub mod base;
 pub mod bristle;
 pub mod columns;
 pub mod condition;
+pub mod consistent;
 pub mod delay;
 pub mod evaluate;
 pub mod fit;

@@ -101,17 +101,13 @@ pub struct Conditions {
     pub fitted: f64,
 }
 
-/// What enforcing physical consistency did.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// What enforcing physical consistency cost.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Consistency {
-    /// Whether every link got a positive definite pseudo-inertia.
-    pub feasible: bool,
-    /// Relative error of the training rows without the constraint.
-    pub training_error_free: f64,
-    /// And with it.
-    pub training_error_constrained: f64,
-    /// What was done, in words.
-    pub note: String,
+    /// Held-out relative error of the free fit; the constrained one's is that of `held_out`.
+    pub free_relative_error: f64,
+    /// Weighted residual of the constrained fit over that of the free fit, on the training rows (root of the ratio of squares).
+    pub training_residual_ratio: f64,
 }
 
 /// `identification.json`.
@@ -150,7 +146,7 @@ pub struct Identification {
     pub bristle_rad: Vec<Option<f64>>,
     /// Filters and masks.
     pub conditioning: Plan,
-    /// What enforcing physical consistency did, if asked for.
+    /// What enforcing physical consistency cost, if asked for. Intervals are those of the free fit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub consistency: Option<Consistency>,
     /// The paper's tables, with `--method paper`.

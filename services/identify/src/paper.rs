@@ -64,6 +64,8 @@ pub struct PaperResult {
     pub trajectories: Vec<Trajectory>,
     /// Table 1 over the held-out rows: M_KH, M_Id, M_Id+F, and the pooled fit beside them.
     pub table1: Vec<ErrorTable>,
+    /// The same over moving joints alone: what a stuck joint holds is no model's fault.
+    pub table1_moving: Vec<ErrorTable>,
     /// Table 2 over the held-out rows of recordings with a payload: M_Id+F with m_P = 0 and with the estimate. Empty
     /// without such recordings.
     pub table2: Vec<ErrorTable>,
@@ -176,8 +178,16 @@ pub fn fit(
         }
     }
     let models = PaperModels { nominal: layout.nominal.clone(), identified, with_friction };
-    let result =
-        PaperResult { rho1, rho2, f_v, f_c, trajectories, table1: Vec::new(), table2: Vec::new() };
+    let result = PaperResult {
+        rho1,
+        rho2,
+        f_v,
+        f_c,
+        trajectories,
+        table1: Vec::new(),
+        table1_moving: Vec::new(),
+        table2: Vec::new(),
+    };
     Ok((models, result))
 }
 

@@ -34,7 +34,9 @@ impl FromStr for FileRange {
             }
             match s.parse::<f64>() {
                 Ok(v) if v.is_finite() => Ok(Some(v)),
-                _ => Err(BadInput::new(format!("range of \"{text}\": found \"{s}\"; expected seconds, as in FILE@0:5.4"))),
+                _ => Err(BadInput::new(format!(
+                    "range of \"{text}\": found \"{s}\"; expected seconds, as in FILE@0:5.4"
+                ))),
             }
         };
         let (from_s, to_s) = (bound(from)?, bound(to)?);

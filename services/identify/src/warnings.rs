@@ -62,7 +62,10 @@ fn amount(f: &Findings<'_>, out: &mut Vec<String>) {
         ));
     }
     for r in f.recordings.iter().filter(|r| r.dropped_s > 0.0) {
-        out.push(format!("{}: {:.2} s lie in stretches between gaps that are too short to filter", r.name, r.dropped_s));
+        out.push(format!(
+            "{}: {:.2} s lie in stretches between gaps that are too short to filter",
+            r.name, r.dropped_s
+        ));
     }
     let uneven: Vec<f64> = f.recordings.iter().filter(|r| r.resampled).map(|r| r.sample_rate_hz).collect();
     if !uneven.is_empty() {

@@ -39,7 +39,12 @@ fn clean_cases_reach_the_oracle_and_cover_the_truth() {
             inside += usize::from(hit);
             all += 1;
             let half = 0.5 * (p.ci95[1] - p.ci95[0]);
-            eprintln!("   {} = {:.5} ± {half:.5}, truth {truth:.5}{}", p.symbol, p.value, if hit { "" } else { "  outside" });
+            eprintln!(
+                "   {} = {:.5} ± {half:.5}, truth {truth:.5}{}",
+                p.symbol,
+                p.value,
+                if hit { "" } else { "  outside" }
+            );
             assert!((p.value - truth).abs() < 2.0 * half, "{}: not even near its interval", p.symbol);
         }
     }

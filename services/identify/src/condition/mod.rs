@@ -116,7 +116,8 @@ impl Conditioning {
         let mut rate = f64::INFINITY;
         for recording in recordings {
             let period = recording.median_period_s().filter(|p| p.is_finite() && *p > 0.0).ok_or_else(|| {
-                BadInput::new(format!("found {} samples; expected at least 2", recording.len())).in_file(&recording.name)
+                BadInput::new(format!("found {} samples; expected at least 2", recording.len()))
+                    .in_file(&recording.name)
             })?;
             rate = rate.min(self.rate_hz.unwrap_or(1.0 / period));
         }

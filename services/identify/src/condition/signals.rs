@@ -39,7 +39,10 @@ pub(super) fn check(recording: &Recording, robot: &RobotFile) -> Result<(), BadI
             return Err(BadInput::new(format!("found {} {what} columns; expected {n}, one per joint", list.len())));
         }
         if let Some(column) = list.iter().find(|c| c.len() != len) {
-            return Err(BadInput::new(format!("found {} {what} samples for {len} times; expected as many", column.len())));
+            return Err(BadInput::new(format!(
+                "found {} {what} samples for {len} times; expected as many",
+                column.len()
+            )));
         }
     }
     Ok(())
@@ -54,8 +57,7 @@ pub(super) fn repair(recording: &Recording, plan: &Plan) -> Repaired {
         .map(|column| (unwrap_angles(column, TAU), despike(column, 1e-4, plan.spike_threshold)))
         .collect();
     let mut tau = recording.tau_nm.clone();
-    let found_tau: Vec<usize> =
-        tau.par_iter_mut().map(|column| despike(column, 1e-2, plan.spike_threshold)).collect();
+    let found_tau: Vec<usize> = tau.par_iter_mut().map(|column| despike(column, 1e-2, plan.spike_threshold)).collect();
     let mut repairs = Vec::new();
     let mut note = |kind, signal: String, count: usize| {
         if count > 0 {
@@ -102,9 +104,9 @@ pub(super) struct Sampling {
 
 impl Sampling {
     pub(super) fn of(t_s: &[f64], plan: &Plan) -> Result<Self, BadInput> {
-        let step = median_step(t_s)
-            .filter(|s| s.is_finite() && *s > 0.0)
-            .ok_or_else(|| BadInput::new(format!("found {} samples; expected at least 2 at increasing times", t_s.len())))?;
+        let step = median_step(t_s).filter(|s| s.is_finite() && *s > 0.0).ok_or_else(|| {
+            BadInput::new(format!("found {} samples; expected at least 2 at increasing times", t_s.len()))
+        })?;
         let ranges = segments(t_s, GAP_FACTOR * step);
         // The mean step of the longest stretch is known far better than the median step, which rounding may have touched.
         let longest = ranges.iter().max_by_key(|r| r.len()).cloned().unwrap_or(0..t_s.len());

@@ -1,7 +1,8 @@
 use super::*;
 use lacuna_interfaces::RepairKind;
 
-const ROBOT: &str = "kind = \"serial\"\nname = \"axis\"\njoints = [\"a\"]\n[[dh]]\na = 0.1\n[columns]\nenabled = \"x_on\"\n";
+const ROBOT: &str =
+    "kind = \"serial\"\nname = \"axis\"\njoints = [\"a\"]\n[[dh]]\na = 0.1\n[columns]\nenabled = \"x_on\"\n";
 
 fn robot() -> RobotFile {
     RobotFile::parse(ROBOT).unwrap()
@@ -34,8 +35,7 @@ fn distance(stretch: &Stretch, torque_lead_s: f64) -> [f64; 4] {
     let mut worst = [0.0f64; 4];
     for k in stretch.cut..stretch.len() - stretch.cut {
         let t = stretch.time_s(k);
-        let truth =
-            [(W * t).sin(), W * (W * t).cos(), -W * W * (W * t).sin(), (W * (t + torque_lead_s)).cos()];
+        let truth = [(W * t).sin(), W * (W * t).cos(), -W * W * (W * t).sin(), (W * (t + torque_lead_s)).cos()];
         let found = [stretch.q_rad[0][k], stretch.qd_rad_s[0][k], stretch.qdd_rad_s2[0][k], stretch.tau_nm[0][k]];
         for i in 0..4 {
             worst[i] = worst[i].max((truth[i] - found[i]).abs());
@@ -98,8 +98,7 @@ fn repairs_are_made_and_counted() {
     let out = condition(&recording, &robot(), &plan(&recording)).unwrap();
     let counted: Vec<(RepairKind, &str, u64)> =
         out.repairs.iter().map(|r| (r.kind, r.signal.as_str(), r.count)).collect();
-    let expected =
-        [(RepairKind::Unwrapped, "q1", 1), (RepairKind::Spike, "q1", 1), (RepairKind::Spike, "tau1", 1)];
+    let expected = [(RepairKind::Unwrapped, "q1", 1), (RepairKind::Spike, "q1", 1), (RepairKind::Spike, "tau1", 1)];
     assert_eq!(counted, expected);
     let d = distance(&out.stretches[0], 0.0);
     assert!(d[0] < 1e-5 && d[2] < 1e-2 && d[3] < 1e-5, "{d:?}");

@@ -8,9 +8,9 @@ use std::path::PathBuf;
 /// The folder of real recordings: `LACUNA_SHARED_DATA`, else `shared/data` beside the workspace. `None`, said aloud,
 /// where it is absent.
 pub fn shared(folder: &str) -> Option<PathBuf> {
-    let root = std::env::var_os("LACUNA_SHARED_DATA").map(PathBuf::from).unwrap_or_else(|| {
-        PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data")
-    });
+    let root = std::env::var_os("LACUNA_SHARED_DATA")
+        .map(PathBuf::from)
+        .unwrap_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"));
     let path = root.join(folder);
     if path.is_dir() {
         return Some(path);
@@ -24,7 +24,9 @@ pub fn files(folder: &std::path::Path, part: &str) -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> = std::fs::read_dir(folder)
         .unwrap()
         .map(|e| e.unwrap().path())
-        .filter(|p| p.extension().is_some_and(|e| e == "csv") && p.file_name().unwrap().to_str().unwrap().contains(part))
+        .filter(|p| {
+            p.extension().is_some_and(|e| e == "csv") && p.file_name().unwrap().to_str().unwrap().contains(part)
+        })
         .collect();
     found.sort();
     found

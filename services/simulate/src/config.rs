@@ -101,6 +101,9 @@ pub struct SimulationConfig {
     pub seed: u64,
     /// Real masses and inertias differ from the robot file's by up to this share.
     pub mass_error: f64,
+    /// Rotor inertia per joint at the joint side where the robot's description has none, as a URDF [kg m²];
+    /// added to what it has, and known to the controller. Empty: nothing is added.
+    pub rotor_inertia: Vec<f64>,
     /// Trajectories.
     #[serde(rename = "trajectory")]
     pub trajectories: Vec<TrajectoryGroup>,
@@ -126,6 +129,7 @@ impl Default for SimulationConfig {
         Self {
             seed: 1,
             mass_error: 0.0,
+            rotor_inertia: Vec::new(),
             trajectories: vec![
                 group(Kinds::PointToPoint, 1),
                 group(Kinds::PickPlace, 1),
@@ -191,6 +195,7 @@ impl SimulationConfig {
             ("friction.f_c", &self.friction.f_c),
             ("friction.f_v", &self.friction.f_v),
             ("noise.torque_nm", &self.noise.torque_nm),
+            ("rotor_inertia", &self.rotor_inertia),
         ] {
             if !list.is_empty() && list.len() != n {
                 return Err(BadInput::new(format!("{key}: found {} values; expected {n}, one per joint", list.len())));

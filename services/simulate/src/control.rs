@@ -1,6 +1,6 @@
 //! The robot's controller: PD on the encoder reading with nominal feed-forward, every 0.25 ms.
 
-use crate::plant::{Loads, TrueRobot, Unreachable};
+use crate::plant::{JointMatrix, Loads, TrueRobot, Unreachable};
 use crate::reference::Motion;
 use lacuna_interfaces::robot::RobotFile;
 use lacuna_interfaces::{BadInput, Joints};
@@ -64,6 +64,26 @@ pub struct Controller<'a> {
     blend: f64,
 }
 
+/// Largest period · λ(M⁻¹ K_d) at which the sampled velocity loop is well damped.
+const SAMPLED_GAIN: f64 = 0.25;
+
+/// Largest eigenvalue of M⁻¹ diag(kd) [1/s], by power iteration.
+fn fastest_mode(inverse: &JointMatrix, kd: &Joints, n: usize) -> f64 {
+    let mut x = [1.0; lacuna_interfaces::MAX_JOINTS];
+    let mut largest = 0.0;
+    for k in 0..60 {
+        // Starting directions that differ: the fastest mode may be square to a constant one.
+        let mut y = Joints::default();
+        for i in 0..n {
+            y[i] =
+                (0..n).map(|j| inverse[i][j] * kd[j] * x[j]).sum::<f64>() + if k == 0 { 0.1 * i as f64 } else { 0.0 };
+        }
+        largest = y[..n].iter().fold(0.0f64, |m, v| m.max(v.abs()));
+        x = y.map(|v| v / largest.max(f64::MIN_POSITIVE));
+    }
+    largest
+}
+
 /// Largest kd · period / J_r at which a sampled velocity loop on the bare rotor is well damped.
 const ROTOR_GAIN: f64 = 0.3;
 
@@ -84,7 +104,7 @@ impl<'a> Controller<'a> {
         robot: &RobotFile,
         q: &Joints,
     ) -> Result<Self, BadInput> {
-        let inertia = model.inertia_diagonal(q)?;
+        let (inertia, inverse) = model.inertia(q)?;
         let omega = TAU * config.bandwidth_hz;
         let mut limit = [f64::INFINITY; lacuna_interfaces::MAX_JOINTS];
         if let Some(rated) = &robot.drive.rated_torque_nm {
@@ -93,8 +113,16 @@ impl<'a> Controller<'a> {
             }
         }
         let period = 1.0 / config.rate_hz;
-        let mut kp = inertia.map(|m| m * omega * omega);
-        let mut kd = inertia.map(|m| 2.0 * config.damping * omega * m);
+        let (mut kp, mut kd) = (Joints::default(), Joints::default());
+        for i in 0..model.joints.len() {
+            kp[i] = inertia[i][i] * omega * omega;
+            kd[i] = 2.0 * config.damping * omega * inertia[i][i];
+        }
+        // A light wrist on a heavy arm moves faster under its gain than the arm's inertia makes believe.
+        let fastest = fastest_mode(&inverse, &kd, model.joints.len());
+        let share = (SAMPLED_GAIN / (period * fastest)).min(1.0);
+        kp.iter_mut().for_each(|k| *k *= share * share);
+        kd.iter_mut().for_each(|k| *k *= share);
         for (i, joint) in truth.joints.iter().enumerate().filter(|(_, j)| j.transmission.is_some()) {
             let share = (ROTOR_GAIN * joint.rotor / (period * kd[i])).min(1.0);
             kd[i] *= share;

@@ -54,7 +54,10 @@ mod stream {
 /// [`BadInput`] if configuration and robot do not fit, or the robot cannot follow (workspace, inertia).
 pub fn simulate(robot: &RobotFile, urdf: Option<&str>, config: &SimulationConfig) -> Result<Simulation, BadInput> {
     config.validate(robot)?;
-    let nominal = TrueRobot::nominal(robot, urdf)?;
+    let mut nominal = TrueRobot::nominal(robot, urdf)?;
+    for (joint, rotor) in nominal.joints.iter_mut().zip(&config.rotor_inertia) {
+        joint.rotor += rotor;
+    }
     let limits = MotionLimits::of(robot);
     let mut pauses = Random::new(config.seed, stream::PAUSES);
     let mut start_s = 0.0;

@@ -220,13 +220,7 @@ fn rigid_body(fitted: &mut TrueRobot, robot: &RobotFile, model: &ModelFile) -> R
     let limits = crate::reference::MotionLimits::of(robot);
     let mut q = Joints::default();
     (0..robot.joint_count()).for_each(|i| q[i] = 0.5 * (limits.q_min[i] + limits.q_max[i]));
-    if fitted.inertia_is_positive(&q) {
-        Ok(())
-    } else {
-        Err(BadInput::new(
-            "twin: the model's inertia matrix is not positive definite at mid-range; expected one that can be simulated",
-        ))
-    }
+    fitted.inertia(&q).map(|_| ()).map_err(|e| BadInput::new(format!("twin: the model at mid-range: {}", e.what)))
 }
 
 fn unknown(symbol: &str) -> BadInput {

@@ -160,7 +160,8 @@ impl Scales {
             scales.rotor[i] = nominal.joints[i].rotor;
             scales.gear[i] = nominal.joints[i].gear;
         }
-        scales.inertia = nominal.inertia_diagonal(&q)?;
+        let (inertia, _) = nominal.inertia(&q)?;
+        (0..n).for_each(|i| scales.inertia[i] = inertia[i][i]);
         let still = Joints::default();
         let loads = nominal.loads(0.0, &[]);
         let mut d = crate::plant::Dynamics::default();

@@ -1,6 +1,7 @@
 //! The true robot: mechanics, drives and sensors with everything that is wrong with them.
 
 use super::friction::JointFriction;
+use super::linalg::{JointMatrix, invert_spd};
 use super::{Delta, Loads, Mechanism, Serial};
 use lacuna_interfaces::robot::Kind;
 use lacuna_interfaces::{BadInput, Joints, RobotFile};
@@ -271,6 +272,7 @@ pub struct TrueRobot {
 
 impl TrueRobot {
     /// The robot exactly as its file says, without friction. `urdf` is the text of the URDF the file names.
+    /// A URDF knows no rotors; [`TrueRobot::inertia`] tells whether the robot can be simulated without.
     ///
     /// # Errors
     /// [`BadInput`] if the file does not describe a robot with inertia.
@@ -332,36 +334,40 @@ impl TrueRobot {
         loads
     }
 
-    /// True if the inertia matrix at `q`, rotors included, is positive definite.
-    pub fn inertia_is_positive(&self, q: &Joints) -> bool {
-        let mut d = super::Dynamics::default();
-        if self.mechanism.dynamics(q, &Joints::default(), &self.loads(0.0, &[]), &mut d).is_err() {
-            return false;
-        }
-        self.joints.iter().enumerate().for_each(|(i, joint)| d.inertia[i][i] += joint.rotor);
-        super::linalg::invert_spd(&d.inertia, self.joints.len()).is_some()
-    }
-
-    /// Inertia matrix at `q` with rotors, as a rigid drive feels it; the diagonal serves gain tuning.
+    /// Inertia matrix at `q`, rotors included [kg m²], and its inverse.
     ///
     /// # Errors
-    /// [`BadInput`] if the pose does not exist or a joint has no inertia at all.
-    pub fn inertia_diagonal(&self, q: &Joints) -> Result<Joints, BadInput> {
+    /// [`BadInput`] if the pose does not exist, or a joint has next to no inertia that is its own.
+    pub fn inertia(&self, q: &Joints) -> Result<(JointMatrix, JointMatrix), BadInput> {
+        let n = self.joints.len();
         let mut d = super::Dynamics::default();
-        let loads = self.loads(0.0, &[]);
         self.mechanism
-            .dynamics(q, &Joints::default(), &loads, &mut d)
-            .map_err(|_| BadInput::new(format!("pose {:?} does not exist", &q[..self.joints.len()])))?;
-        let mut diagonal = Joints::default();
-        for (i, joint) in self.joints.iter().enumerate() {
-            diagonal[i] = d.inertia[i][i] + joint.rotor;
-            if diagonal[i].is_nan() || diagonal[i] <= 0.0 {
-                return Err(BadInput::new(format!(
-                    "joint {}: found no inertia (links without mass and no rotor_inertia); a simulation needs [[link]] tables or a URDF with inertials",
-                    i + 1
-                )));
+            .dynamics(q, &Joints::default(), &self.loads(0.0, &[]), &mut d)
+            .map_err(|_| BadInput::new(format!("pose {:?} does not exist", &q[..n])))?;
+        self.joints.iter().enumerate().for_each(|(i, joint)| d.inertia[i][i] += joint.rotor);
+        let most = (0..n).map(|i| d.inertia[i][i]).fold(0.0, f64::max);
+        let none = |i: usize, found: f64| {
+            BadInput::new(format!(
+                "joint {}: found an inertia of {found:.1e} kg m², others up to {most:.1e}; a simulation needs links with inertia, or rotor inertia ([[link]] tables of the robot file, or rotor_inertia of the simulation)",
+                i + 1
+            ))
+        };
+        for i in 0..n {
+            if d.inertia[i][i].is_nan() || d.inertia[i][i] <= LEAST_INERTIA * most {
+                return Err(none(i, d.inertia[i][i]));
             }
         }
-        Ok(diagonal)
+        let inverse = invert_spd(&d.inertia, n).ok_or_else(|| {
+            BadInput::new("found an inertia matrix that is not positive definite; expected a robot that can move")
+        })?;
+        // What a joint feels while all others give way.
+        match (0..n).find(|&i| 1.0 / inverse[i][i] <= LEAST_INERTIA * most) {
+            Some(i) => Err(none(i, 1.0 / inverse[i][i])),
+            None => Ok((d.inertia, inverse)),
+        }
     }
 }
+
+/// Smallest inertia of a joint, as a share of the largest, with which a time step of a fraction of a
+/// millisecond still makes sense.
+const LEAST_INERTIA: f64 = 1e-6;

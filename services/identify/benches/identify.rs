@@ -24,8 +24,8 @@ fn recording(robot: &RobotFile, body: &dyn RigidBody, samples: usize) -> Recordi
     let mut out = Recording {
         name: "bench.csv".to_owned(),
         joints: robot.joints.clone(),
-        q_rad: vec![Vec::with_capacity(samples); 3],
-        tau_nm: vec![Vec::with_capacity(samples); 3],
+        q_rad: vec![Vec::new(); 3],
+        tau_nm: vec![Vec::new(); 3],
         ..Recording::default()
     };
     let mut state = 0x2545_f491_4f6c_dd1d_u64;

@@ -13,6 +13,7 @@
 //! | [`bristle`], [`delay`] | nuisances: Coulomb friction after a reversal, torque delay |
 //! | [`consistent`] | links that could exist: positive definite pseudo-inertias |
 //! | [`split`], [`evaluate`] | what is held out, and the error there |
+//! | [`excite`] | trajectories after which the parameters are known best |
 //! | [`paper`] | the founding paper's grid search and averages |
 //! | [`outcome`] | the files and the data of the report |
 
@@ -24,6 +25,7 @@ pub mod condition;
 pub mod consistent;
 pub mod delay;
 pub mod evaluate;
+pub mod excite;
 pub mod fit;
 mod identify;
 pub mod outcome;

@@ -208,7 +208,7 @@ fn common_factor(s: &Structure, solution: &Solution) -> Option<f64> {
     for &b in &solution.excited {
         let column = &s.columns[s.base[b].column];
         let se = solution.standard_error(b);
-        if !matches!(column.term, Term::Rigid(_)) || !(se > 0.0) {
+        if !matches!(column.term, Term::Rigid(_)) || se.is_nan() || se <= 0.0 {
             continue;
         }
         let (x, y) = (s.base[b].nominal / se, solution.beta[b] / se);
@@ -216,7 +216,7 @@ fn common_factor(s: &Structure, solution: &Solution) -> Option<f64> {
         nominal += x * x;
         own += y * y;
     }
-    if !(nominal > 0.0 && own > 0.0) {
+    if nominal <= 0.0 || own <= 0.0 {
         return None;
     }
     // One factor must explain nearly all of it; otherwise it is the robot that differs, not the unit.

@@ -229,5 +229,5 @@ fn bad_configurations_are_refused_in_words() {
     // A chain without masses.
     let massless = "kind = \"serial\"\nname = \"m\"\njoints = [\"a\"]\n[[dh]]\na = 0.3\n";
     let e = simulate(&RobotFile::parse(massless).unwrap(), None, &SimulationConfig::default()).unwrap_err();
-    assert!(e.what.contains("no inertia"), "{e}");
+    assert!(e.what.contains("rotor_inertia"), "{e}");
 }

@@ -99,7 +99,7 @@ fn models_that_cannot_be_simulated_are_refused_in_words() {
     };
     assert!(build(&parameter("I4", 1.0), config()).contains("I4"));
     assert!(build(&parameter("Ixx1", 1.0), config()).contains("Ixx1"));
-    assert!(build(&parameter("I2", -50.0), config()).contains("positive"));
+    assert!(build(&parameter("I2", -50.0), config()).contains("joint 2: found an inertia of -"));
     assert!(build(&|_| {}, TwinConfig::new(vec![0.1; 2], 1000.0)).contains("2 torque noises"));
     let mut model = fitted();
     model.terms[0].effect = "magic".to_owned();

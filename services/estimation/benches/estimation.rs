@@ -105,11 +105,11 @@ fn smoother() {
     let textbook_name = "textbook RTS, nalgebra";
     let mut out = Smoothed::default();
     for (what, t, noises, steady) in [
-        ("offline, 3 joints, regular, one noise", &regular, vec![noise; JOINTS], true),
-        ("offline, 3 joints, regular, a noise each", &regular, vec![noise, other(2.0), other(3.0)], true),
+        ("offline, 3 joints, regular, one q/r", &regular, vec![noise; JOINTS], true),
+        ("offline, 3 joints, regular, a q/r each", &regular, vec![noise, other(2.0), other(3.0)], true),
         ("offline, 3 joints, regular, exact path", &regular, vec![noise; JOINTS], false),
-        ("offline, 3 joints, irregular, one noise", &irregular, vec![noise; JOINTS], true),
-        ("offline, 3 joints, irregular, a noise each", &irregular, vec![noise, other(2.0), other(3.0)], true),
+        ("offline, 3 joints, irregular, one q/r", &irregular, vec![noise; JOINTS], true),
+        ("offline, 3 joints, irregular, a q/r each", &irregular, vec![noise, other(2.0), other(3.0)], true),
     ] {
         let settings = Settings { steady_state: steady, ..Settings::new(model, noises) };
         let ns = seconds(|| drop(black_box(smooth_into(&settings, t, &views, &mut out)))) / n as f64 * 1e9;
@@ -117,16 +117,21 @@ fn smoother() {
     }
     let settings = Settings::new(model, vec![noise; JOINTS]);
     let ns = seconds(|| drop(black_box(smooth(&settings, &regular, &views)))) / n as f64 * 1e9;
-    line("offline, 3 joints, regular, one noise, fresh memory", ns, textbook_name, base);
+    line("offline, 3 joints, regular, one q/r, fresh memory", ns, textbook_name, base);
+    let long: Vec<f64> = (0..1_000_000).map(|k| k as f64 * 1e-3).collect();
+    let long_q = positions(&long);
+    let long_views: Vec<&[f64]> = long_q.iter().map(Vec::as_slice).collect();
+    let whole = seconds(|| drop(black_box(smooth(&settings, &long, &long_views))));
+    println!("{:<58}{whole:>10.3} s", "offline, 1e6 samples x 3 joints, one core, fresh memory");
     let settings = Settings::new(MotionModel::ConstantJerk, vec![noise; JOINTS]);
     let ns = seconds(|| drop(black_box(smooth_into(&settings, &regular, &views, &mut out)))) / n as f64 * 1e9;
     line("offline, 3 joints, regular, constant jerk", ns, textbook_name, base);
     for (what, t, lag, noises) in [
         ("stream, 3 joints, regular, lag 25", &regular, 25, vec![noise; JOINTS]),
         ("stream, 3 joints, regular, lag 100", &regular, 100, vec![noise; JOINTS]),
-        ("stream, 3 joints, regular, lag 25, a noise each", &regular, 25, vec![noise, other(2.0), other(3.0)]),
+        ("stream, 3 joints, regular, lag 25, a q/r each", &regular, 25, vec![noise, other(2.0), other(3.0)]),
         ("stream, 3 joints, irregular, lag 25", &irregular, 25, vec![noise; JOINTS]),
-        ("stream, 3 joints, irregular, lag 25, a noise each", &irregular, 25, vec![noise, other(2.0), other(3.0)]),
+        ("stream, 3 joints, irregular, lag 25, a q/r each", &irregular, 25, vec![noise, other(2.0), other(3.0)]),
     ] {
         let settings = Settings::new(model, noises);
         let mut worst = 0.0f64;

@@ -107,8 +107,11 @@ fn stream_is_the_offline_smoother_of_what_has_arrived() {
                     assert!(close(s.q, whole.q_rad[j][k], 1e-11), "{model:?} lag {lag} sample {k}");
                     assert!(close(s.qd, whole.qd_rad_s[j][k], 1e-8), "{model:?} lag {lag} sample {k}");
                     assert!(close(s.qdd, whole.qdd_rad_s2[j][k], 1e-5), "{model:?} lag {lag} sample {k}");
-                    assert!(close(s.sd_q / whole.sd_q_rad(j)[k], 1.0, 1e-7), "{model:?} lag {lag} sample {k}");
-                    assert!(close(s.sd_qdd / whole.sd_qdd_rad_s2(j)[k], 1.0, 1e-7), "{model:?} lag {lag} sample {k}");
+                    assert!(close(s.sd_q / whole.sd_q_rad(j).at(k), 1.0, 1e-7), "{model:?} lag {lag} sample {k}");
+                    assert!(
+                        close(s.sd_qdd / whole.sd_qdd_rad_s2(j).at(k), 1.0, 1e-7),
+                        "{model:?} lag {lag} sample {k}"
+                    );
                 }
             }
         }
@@ -131,9 +134,9 @@ fn steady_state_and_exact_path_agree() {
                 assert!(close(a.q_rad[0][k], b.q_rad[0][k], 1e-9 * 0.8), "{k}");
                 assert!(close(a.qd_rad_s[0][k], b.qd_rad_s[0][k], 1e-9 * qd), "{k}");
                 assert!(close(a.qdd_rad_s2[0][k], b.qdd_rad_s2[0][k], 1e-9 * qdd), "{k}");
-                assert!(close(a.sd_q_rad(0)[k] / b.sd_q_rad(0)[k], 1.0, 1e-9), "{k}");
-                assert!(close(a.sd_qd_rad_s(0)[k] / b.sd_qd_rad_s(0)[k], 1.0, 1e-9), "{k}");
-                assert!(close(a.sd_qdd_rad_s2(0)[k] / b.sd_qdd_rad_s2(0)[k], 1.0, 1e-9), "{k}");
+                assert!(close(a.sd_q_rad(0).at(k) / b.sd_q_rad(0).at(k), 1.0, 1e-9), "{k}");
+                assert!(close(a.sd_qd_rad_s(0).at(k) / b.sd_qd_rad_s(0).at(k), 1.0, 1e-9), "{k}");
+                assert!(close(a.sd_qdd_rad_s2(0).at(k) / b.sd_qdd_rad_s2(0).at(k), 1.0, 1e-9), "{k}");
             }
             // On the stream as well, and there the steady path is really taken.
             let lag = Lag::Samples(40);
@@ -165,7 +168,7 @@ fn jitter_within_the_tolerance_costs_nothing() {
     let exact = smooth(&Settings { steady_state: false, ..settings }, &t, &[&q]).unwrap();
     let most = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
     assert!(most(&steady.q_rad[0], &exact.q_rad[0]) < 1e-9);
-    let off = most(&steady.qdd_rad_s2[0], &exact.qdd_rad_s2[0]) / exact.sd_qdd_rad_s2(0)[1000];
+    let off = most(&steady.qdd_rad_s2[0], &exact.qdd_rad_s2[0]) / exact.sd_qdd_rad_s2(0).at(1000);
     assert!(off < 1e-2, "{off} standard deviations");
 }
 
@@ -180,7 +183,7 @@ fn standard_deviations_are_true() {
     let lists =
         [(&s.q_rad[0], s.sd_q_rad(0)), (&s.qd_rad_s[0], s.sd_qd_rad_s(0)), (&s.qdd_rad_s2[0], s.sd_qdd_rad_s2(0))];
     for (i, (value, sd)) in lists.into_iter().enumerate() {
-        let inside = (0..t.len()).filter(|&k| (value[k] - truth[k][i]).abs() < 1.96 * sd[k]).count();
+        let inside = (0..t.len()).filter(|&k| (value[k] - truth[k][i]).abs() < 1.96 * sd.at(k)).count();
         let share = inside as f64 / t.len() as f64;
         // Errors are correlated over about 10 samples: standard deviation of the share about 0.5 %.
         assert!((0.93..0.97).contains(&share), "derivative {i}: {share}");
@@ -248,7 +251,7 @@ fn gaps_start_anew() {
     assert_eq!(whole.qdd_rad_s2[0][20..38], part.qdd_rad_s2[0]);
     // Two samples do not tell an acceleration.
     assert_eq!(whole.q_rad[0][38..], q[38..]);
-    assert_eq!(whole.sd_qd_rad_s(0)[39], PRIOR_SD[0]);
+    assert_eq!(whole.sd_qd_rad_s(0).at(39), PRIOR_SD[0]);
     let streamed = stream(&settings, Lag::Samples(5), &t, &[q]);
     for k in 0..40 {
         let [start, gap, short] = streamed[k].1;
@@ -297,7 +300,7 @@ fn pieces_equal_the_whole() {
         for j in 0..2 {
             for (k, v) in piece.qdd_rad_s2[j].iter().enumerate() {
                 assert!(close(*v, whole.qdd_rad_s2[j][first + k], 1e-7), "sample {}", first + k);
-                assert!(close(piece.sd_qdd_rad_s2(j)[k] / whole.sd_qdd_rad_s2(j)[first + k], 1.0, 1e-7));
+                assert!(close(piece.sd_qdd_rad_s2(j).at(k) / whole.sd_qdd_rad_s2(j).at(first + k), 1.0, 1e-7));
             }
         }
     })
@@ -334,7 +337,7 @@ fn update_forms_agree_where_digits_suffice() {
     let (a, b) = (smooth(&joseph, &t, &[&z]).unwrap(), smooth(&plain, &t, &[&z]).unwrap());
     for k in 0..t.len() {
         assert!(close(a.qdd_rad_s2[0][k], b.qdd_rad_s2[0][k], 1e-6));
-        assert!(close(a.sd_qdd_rad_s2(0)[k] / b.sd_qdd_rad_s2(0)[k], 1.0, 1e-6));
+        assert!(close(a.sd_qdd_rad_s2(0).at(k) / b.sd_qdd_rad_s2(0).at(k), 1.0, 1e-6));
     }
 }
 
@@ -402,4 +405,31 @@ proptest! {
             prop_assert!((a.qdd_rad_s2[0][k] - b.qdd_rad_s2[0][k]).abs() < 1e-4);
         }
     }
+}
+
+#[test]
+fn joints_of_equal_ratio_share_gains_and_keep_their_own_scale() {
+    let model = MotionModel::ConstantAcceleration;
+    let noise = [1e-5, 7e-6, 3e-4].map(|sd| Noise::from_bandwidth(model, 60.0, sd, 1e-3));
+    let settings = Settings::new(model, noise.to_vec());
+    let mut draw = Draw::new(21);
+    let mut t = vec![0.0];
+    (0..300).for_each(|_| t.push(t[t.len() - 1] + 1e-9 * draw.uniform(0.5e6, 2e6).round()));
+    let q: Vec<Vec<f64>> =
+        noise.iter().map(|n| t.iter().map(|t| (9.0 * t).sin() + n.measurement_sd * draw.normal()).collect()).collect();
+    let views: Vec<&[f64]> = q.iter().map(Vec::as_slice).collect();
+    let together = smooth(&settings, &t, &views).unwrap();
+    let streamed = stream(&settings, Lag::Samples(12), &t, &q);
+    for j in 0..3 {
+        let alone = Settings::new(model, vec![noise[j]]);
+        let whole = smooth(&alone, &t, &[&q[j]]).unwrap();
+        let alone = stream(&alone, Lag::Samples(12), &t, std::slice::from_ref(&q[j]));
+        for k in 0..t.len() {
+            assert!(close(together.qdd_rad_s2[j][k], whole.qdd_rad_s2[0][k], 1e-9));
+            assert!(close(together.sd_qdd_rad_s2(j).at(k) / whole.sd_qdd_rad_s2(0).at(k), 1.0, 1e-9));
+            let (a, b) = (streamed[k].0[j], alone[k].0[0]);
+            assert!(close(a.qdd, b.qdd, 1e-9) && close(a.sd_qd / b.sd_qd, 1.0, 1e-9));
+        }
+    }
+    assert!(together.sd_q_rad(7).at(0).is_nan() && together.sd_q_rad(0).iter().count() == t.len());
 }

@@ -1,6 +1,7 @@
 //! From a time step to the numbers of filter and smoother. Nothing here sees a measurement: joints of equal
-//! noise share one [`Gains`], and steps that repeat share one [`Step`].
+//! noise ratio q/r share one [`Gains`], and steps that repeat share one [`Step`]. Covariances are in units of r.
 
+use super::model::{carried, process_covariance, process_shape, transition};
 use super::small::{
     Matrix, Vector, apply, cholesky, congruence, congruence_plus, identity, inverse, product, right_divide,
     symmetrised, transposed,
@@ -14,55 +15,10 @@ const BACK_AT_STEADY: f64 = 1e-11;
 /// The predicted position is never taken for less certain than √this measurement standard deviations: beyond,
 /// a measurement replaces the prediction all the same, and the covariance would lose the digits to say more.
 const LEAST_CERTAIN: f64 = 1e11;
+/// Noise ratios that differ by less are equal but for rounding.
+const SAME_RATIO: f64 = 1e-12;
 /// Smallest relative Cholesky pivot at which the information of the first samples is inverted.
 const DETERMINED: f64 = 1e-9;
-
-/// F(dt): F_ij = dt^(j−i)/(j−i)!.
-pub(super) fn transition<const N: usize>(dt: f64) -> Matrix<N> {
-    let mut term = [1.0; N];
-    for m in 1..N {
-        term[m] = term[m - 1] * (dt / m as f64);
-    }
-    std::array::from_fn(|i| std::array::from_fn(|j| if j < i { 0.0 } else { term[j - i] }))
-}
-
-/// F(dt) x without the matrix: Taylor's polynomial of each derivative.
-#[inline(always)]
-pub(super) fn carried<const N: usize>(x: &Vector<N>, dt: f64) -> Vector<N> {
-    let mut y = *x;
-    for i in 0..N {
-        let mut sum = x[N - 1];
-        for j in (i..N - 1).rev() {
-            sum = x[j] + sum * (dt / (j - i + 1) as f64);
-        }
-        y[i] = sum;
-    }
-    y
-}
-
-/// The factors of Q(dt) for intensity q: Q_ij = shape_ij dt^(2N−1−i−j).
-fn process_shape<const N: usize>(q: f64) -> Matrix<N> {
-    let factorial = |n: usize| (1..=n).map(|v| v as f64).product::<f64>();
-    std::array::from_fn(|i| {
-        std::array::from_fn(|j| q / (factorial(N - 1 - i) * factorial(N - 1 - j) * (2 * N - 1 - i - j) as f64))
-    })
-}
-
-/// Q(dt).
-#[inline]
-fn process_covariance<const N: usize>(shape: &Matrix<N>, dt: f64) -> Matrix<N> {
-    // power[m] = dt^(m + 1)
-    let mut power = [[dt; N]; 2];
-    for m in 1..2 * N {
-        power[m / N][m % N] = power[(m - 1) / N][(m - 1) % N] * dt;
-    }
-    std::array::from_fn(|i| {
-        std::array::from_fn(|j| {
-            let m = 2 * N - 2 - i - j;
-            shape[i][j] * power[m / N][m % N]
-        })
-    })
-}
 
 /// What the smoother needs of the step k → k + 1: x_k given all = a_k + C x_{k+1}, P_k = A + C P_{k+1} Cᵀ.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -79,7 +35,7 @@ pub(super) struct Step<const N: usize> {
     pub back: Back<N>,
     /// Filter gain K: x ← F x + K (z − θ⁻).
     pub k: Vector<N>,
-    /// Variance S of the innovation z − θ⁻; 0 while the state is not determined, see [`Information`].
+    /// Variance S/r of the innovation z − θ⁻; 0 while the state is not determined, see [`Information`].
     pub s: f64,
 }
 
@@ -91,7 +47,7 @@ impl<const N: usize> Step<N> {
     }
 }
 
-/// The forward step between the first samples: a_k = A η, η ← `map` η + Hᵀ z/r, and once the state is
+/// The forward step between the first samples: a_k = A η, η ← `map` η + Hᵀ z, and once the state is
 /// determined, x = `ready` η.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Information<const N: usize> {
@@ -143,11 +99,10 @@ impl Period {
     }
 }
 
-/// The covariance recursion of all joints of one noise.
+/// The covariance recursion of all joints of one noise ratio, for r = 1.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Gains<const N: usize> {
     q_shape: Matrix<N>,
-    r: f64,
     update: CovarianceUpdate,
     knowledge: Knowledge<N>,
     /// The newest step.
@@ -164,13 +119,11 @@ pub(super) struct Gains<const N: usize> {
 }
 
 impl<const N: usize> Gains<N> {
-    pub fn new(noise: Noise, update: CovarianceUpdate) -> Self {
+    pub fn new(ratio: f64, update: CovarianceUpdate) -> Self {
         let zero = [[0.0; N]; N];
         let nothing = Step { back: Back { c: zero, a: zero }, k: [0.0; N], s: 0.0 };
-        let r = noise.measurement_sd * noise.measurement_sd;
         let mut gains = Self {
-            q_shape: process_shape(noise.process),
-            r,
+            q_shape: process_shape(ratio),
             update,
             knowledge: Knowledge::Information { lambda: zero, samples: 0 },
             step: nothing,
@@ -187,14 +140,9 @@ impl<const N: usize> Gains<N> {
     /// The first sample of a stretch: only its position is known.
     pub fn start(&mut self) {
         let mut lambda = [[0.0; N]; N];
-        lambda[0][0] = 1.0 / self.r;
+        lambda[0][0] = 1.0;
         self.knowledge = Knowledge::Information { lambda, samples: 1 };
         self.at_steady = false;
-    }
-
-    /// Measurement variance r.
-    pub fn r(&self) -> f64 {
-        self.r
     }
 
     /// Covariance P of the newest filtered state; `None` while the first samples do not determine it.
@@ -246,7 +194,7 @@ impl<const N: usize> Gains<N> {
             Knowledge::Covariance(p) => p,
         };
         let predicted = congruence_plus(&f, &p, &q);
-        let certain = LEAST_CERTAIN * self.r / predicted[0][0];
+        let certain = LEAST_CERTAIN / predicted[0][0];
         let next = if certain >= 1.0 {
             self.covariance_step(&p, &f, &q, &predicted)
         } else {
@@ -282,7 +230,7 @@ impl<const N: usize> Gains<N> {
         let pft = product(p, &transposed(f));
         // P⁻ ≥ Q > 0; should rounding ever deny it, the smoother learns nothing from the future here.
         let c = cholesky(predicted, 0.0).map_or([[0.0; N]; N], |l| right_divide(&pft, &l));
-        let s = predicted[0][0] + self.r;
+        let s = predicted[0][0] + 1.0;
         let k: Vector<N> = std::array::from_fn(|i| predicted[i][0] / s);
         let mut next = *predicted;
         let a = match self.update {
@@ -292,8 +240,8 @@ impl<const N: usize> Gains<N> {
                     keep[i][0] -= k[i];
                 }
                 // 1 − K_0 = r/S, without the cancellation.
-                keep[0][0] = self.r / s;
-                let gained: Matrix<N> = std::array::from_fn(|i| std::array::from_fn(|j| k[i] * k[j] * self.r));
+                keep[0][0] = 1.0 / s;
+                let gained: Matrix<N> = std::array::from_fn(|i| std::array::from_fn(|j| k[i] * k[j]));
                 next = congruence_plus(&keep, predicted, &gained);
                 let cf = product(&c, f);
                 let mut rest = identity::<N>();
@@ -330,7 +278,7 @@ impl<const N: usize> Gains<N> {
         // keep the results positive where rounding spoils these.
         let carried = product(&w, &drifted);
         let mut next = congruence_plus(&carried, q, &congruence(&w, &drifted));
-        next[0][0] += 1.0 / self.r;
+        next[0][0] += 1.0;
         let c = product(&back, &transposed(&w));
         let a = symmetrised(&product(&product(&c, q), &back_t));
         let a = congruence_plus(&c, q, &congruence(&a, lambda));
@@ -376,14 +324,14 @@ pub(super) struct Mean<const N: usize> {
 }
 
 impl<const N: usize> Mean<N> {
-    /// At the first sample: measured from there, η = Hᵀ 0/r.
+    /// At the first sample: measured from there, η = Hᵀ 0.
     pub fn start(z: f64) -> Self {
         Self { x: [0.0; N], origin: z }
     }
 
     /// Takes in measurement `z`, `dt` after the last; returns the smoother's a_k (of the sample before).
     #[inline]
-    pub fn advance(&mut self, step: &Step<N>, information: &Information<N>, dt: f64, z: f64, r: f64) -> Vector<N> {
+    pub fn advance(&mut self, step: &Step<N>, information: &Information<N>, dt: f64, z: f64) -> Vector<N> {
         if step.determined() {
             let predicted = carried(&self.x, dt);
             let drawn = apply(&step.back.c, &predicted);
@@ -398,7 +346,7 @@ impl<const N: usize> Mean<N> {
             a[i] += self.origin * (f64::from(u8::from(i == 0)) - step.back.c[i][0]);
         }
         self.x = apply(&information.map, &self.x);
-        self.x[0] += (z - self.origin) / r;
+        self.x[0] += z - self.origin;
         if let Some(p) = &information.ready {
             self.x = apply(p, &self.x);
             self.x[0] += self.origin;
@@ -407,16 +355,25 @@ impl<const N: usize> Mean<N> {
     }
 }
 
-/// Standard deviations of θ, θ̇, θ̈. Steps that differ by a factor of a million within a few samples can leave
-/// no digit of a variance; what is then not positive is unknown.
+/// Standard deviations of θ, θ̇, θ̈ in units of √r. Steps that differ by a factor of a million within a few
+/// samples can leave no digit of a variance; what is then not positive is unknown, infinite.
 #[inline]
 pub(super) fn deviations<const N: usize>(p: &Matrix<N>) -> [f64; 3] {
-    let unknown = [PRIOR_SD[0], PRIOR_SD[0], PRIOR_SD[1]];
-    std::array::from_fn(|i| if p[i][i] > 0.0 { p[i][i].sqrt() } else { unknown[i] })
+    std::array::from_fn(|i| if p[i][i] > 0.0 { p[i][i].sqrt() } else { f64::INFINITY })
 }
 
-/// Joints sorted by noise: fills `groups` with the distinct noises' gains and `group_of` with each joint's
-/// place among them. Does not allocate if both have room for all joints.
+/// A standard deviation of derivative `order` for measurements of standard deviation `sd`, from that in units of √r.
+#[inline]
+pub(super) fn scaled(unit: f64, order: usize, sd: f64) -> f64 {
+    match order {
+        _ if unit.is_finite() => unit * sd,
+        0 => sd,
+        _ => PRIOR_SD[order - 1],
+    }
+}
+
+/// Joints sorted by noise ratio q/r: fills `groups` with the distinct ratios' gains and `group_of` with each
+/// joint's place among them. Does not allocate if both have room for all joints.
 pub(super) fn group<const N: usize>(
     noise: &[Noise],
     update: CovarianceUpdate,
@@ -426,10 +383,11 @@ pub(super) fn group<const N: usize>(
     groups.clear();
     group_of.clear();
     for (j, own) in noise.iter().enumerate() {
-        let place = match noise[..j].iter().position(|earlier| earlier == own) {
+        let same = |earlier: &Noise| (earlier.ratio() / own.ratio() - 1.0).abs() < SAME_RATIO;
+        let place = match noise[..j].iter().position(same) {
             Some(earlier) => group_of[earlier],
             None => {
-                groups.push(Gains::new(*own, update));
+                groups.push(Gains::new(own.ratio(), update));
                 groups.len() - 1
             }
         };

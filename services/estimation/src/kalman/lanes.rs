@@ -1,7 +1,8 @@
 //! The passes over the data: step numbers of a block of time, and several joints run through them in lock step,
 //! so that their independent recursions fill each other's waiting times.
 
-use super::gain::{Gains, Information, Mean, Period, Step, carried};
+use super::gain::{Gains, Information, Mean, Period, Step};
+use super::model::carried;
 use super::small::{Vector, apply};
 use std::ops::Range;
 

@@ -7,7 +7,8 @@
 //! Gains depend on q/r alone, so with r unknown r̂ = mean(ν²/S̃) at S̃ = S/r, and one parameter is left: the
 //! bandwidth (see [`Noise::from_bandwidth`]), searched on a grid and refined by golden section.
 
-use super::gain::{Gains, Mean, Period, carried};
+use super::gain::{Gains, Mean, Period};
+use super::model::carried;
 use super::{CovarianceUpdate, MotionModel, Noise};
 use crate::error::{EstimationError, all_finite, increasing, positive, same_length};
 
@@ -142,8 +143,9 @@ fn innovations(model: MotionModel, noise: Noise, gap_s: f64, t_s: &[f64], q_rad:
 }
 
 fn run<const N: usize>(noise: Noise, gap_s: f64, t_s: &[f64], q_rad: &[f64]) -> Sums {
-    let mut gains = Gains::<N>::new(noise, CovarianceUpdate::Joseph);
+    let mut gains = Gains::<N>::new(noise.ratio(), CovarianceUpdate::Joseph);
     let mut period = Period::repeating(1e-4);
+    let r = noise.measurement_sd * noise.measurement_sd;
     let mut sums = Sums::default();
     let Some((&first, rest)) = q_rad.split_first() else { return sums };
     let mut mean = Mean::<N>::start(first);
@@ -159,7 +161,7 @@ fn run<const N: usize>(noise: Noise, gap_s: f64, t_s: &[f64], q_rad: &[f64]) -> 
         gains.advance(period.classify(dt));
         let step = gains.step();
         if step.determined() {
-            let (k, s) = (&step.k, step.s);
+            let (k, s) = (&step.k, step.s * r);
             let predicted = carried(&mean.x, dt);
             let innovation = z - predicted[0];
             mean.x = std::array::from_fn(|i| predicted[i] + k[i] * innovation);
@@ -171,7 +173,7 @@ fn run<const N: usize>(noise: Noise, gap_s: f64, t_s: &[f64], q_rad: &[f64]) -> 
             sums.log_variance += log_last;
             sums.square += innovation * innovation / s;
         } else {
-            mean.advance(step, gains.information(), dt, z, gains.r());
+            mean.advance(step, gains.information(), dt, z);
         }
     }
     sums

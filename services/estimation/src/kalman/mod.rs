@@ -19,7 +19,7 @@
 //! | C | smoother gain (Rauch, Tung, Striebel 1965) | |
 //!
 //! **One core, used both ways.** `gain` turns a time step into the numbers (K, C, …), which do not depend on
-//! the data and are shared by all joints of equal noise. [`smooth`] runs them forward and backward over a
+//! the data and are shared by all joints of equal q/r. [`smooth`] runs them forward and backward over a
 //! recording; [`FixedLag`] runs the same steps on a stream and gives each sample the future it can wait for.
 //!
 //! **Irregular sampling is exact**: F, Q, K and C follow every step. Where steps repeat (see
@@ -32,6 +32,8 @@
 mod gain;
 mod lanes;
 mod likelihood;
+mod maps;
+mod model;
 mod offline;
 mod small;
 mod stream;
@@ -100,10 +102,14 @@ impl Noise {
         Self { process, measurement_sd }
     }
 
+    /// q/r, on which alone the gains depend.
+    pub(crate) fn ratio(&self) -> f64 {
+        self.process / (self.measurement_sd * self.measurement_sd)
+    }
+
     /// The frequency [Hz] at which the smoother halves the amplitude; inverse of [`Noise::from_bandwidth`].
     pub fn bandwidth_hz(&self, model: MotionModel, period_s: f64) -> f64 {
-        let ratio = self.process / (self.measurement_sd * self.measurement_sd * period_s);
-        ratio.powf(0.5 / model.order() as f64) / std::f64::consts::TAU
+        (self.ratio() / period_s).powf(0.5 / model.order() as f64) / std::f64::consts::TAU
     }
 }
 
@@ -175,10 +181,11 @@ pub struct Smoothed {
     pub qdd_rad_s2: Vec<Vec<f64>>,
     /// Index of the first sample of every stretch without a gap; the first is 0.
     pub starts: Vec<usize>,
-    /// Standard deviations of θ, θ̇, θ̈ over time: one set for all joints of equal noise.
+    /// Standard deviations of θ, θ̇, θ̈ over time in units of √r: one set for all joints of equal q/r.
     deviations: Vec<[Vec<f64>; 3]>,
-    /// Which set is a joint's.
+    /// Which set is a joint's, and its √r.
     group_of: Vec<usize>,
+    measurement_sd: Vec<f64>,
     /// Memory for the fourth state.
     spare: Vec<Vec<f64>>,
 }
@@ -195,22 +202,43 @@ impl Smoothed {
     }
 
     /// Standard deviation of a joint's θ [rad] over time; empty for a joint that does not exist.
-    pub fn sd_q_rad(&self, joint: usize) -> &[f64] {
+    pub fn sd_q_rad(&self, joint: usize) -> Deviation<'_> {
         self.deviation(joint, 0)
     }
 
     /// Standard deviation of a joint's θ̇ [rad/s] over time.
-    pub fn sd_qd_rad_s(&self, joint: usize) -> &[f64] {
+    pub fn sd_qd_rad_s(&self, joint: usize) -> Deviation<'_> {
         self.deviation(joint, 1)
     }
 
     /// Standard deviation of a joint's θ̈ [rad/s²] over time.
-    pub fn sd_qdd_rad_s2(&self, joint: usize) -> &[f64] {
+    pub fn sd_qdd_rad_s2(&self, joint: usize) -> Deviation<'_> {
         self.deviation(joint, 2)
     }
 
-    fn deviation(&self, joint: usize, derivative: usize) -> &[f64] {
-        self.group_of.get(joint).and_then(|g| self.deviations.get(*g)).map_or(&[], |sd| &sd[derivative])
+    fn deviation(&self, joint: usize, order: usize) -> Deviation<'_> {
+        let unit = self.group_of.get(joint).and_then(|g| self.deviations.get(*g)).map_or(&[][..], |sd| &sd[order]);
+        Deviation { unit, order, measurement_sd: self.measurement_sd.get(joint).copied().unwrap_or(f64::NAN) }
+    }
+}
+
+/// A standard deviation over time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Deviation<'a> {
+    unit: &'a [f64],
+    order: usize,
+    measurement_sd: f64,
+}
+
+impl Deviation<'_> {
+    /// At a sample; NaN beyond the recording.
+    pub fn at(&self, sample: usize) -> f64 {
+        self.unit.get(sample).map_or(f64::NAN, |u| gain::scaled(*u, self.order, self.measurement_sd))
+    }
+
+    /// Over all samples.
+    pub fn iter(&self) -> impl Iterator<Item = f64> + '_ {
+        self.unit.iter().map(|u| gain::scaled(*u, self.order, self.measurement_sd))
     }
 }
 

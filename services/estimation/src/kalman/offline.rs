@@ -8,7 +8,7 @@
 use super::gain::{Gains, Mean, Period, deviations, group};
 use super::lanes::{self, Plan};
 use super::small::{Vector, congruence_plus};
-use super::{MotionModel, PRIOR_SD, Settings, Smoothed};
+use super::{MotionModel, Settings, Smoothed};
 use crate::error::{EstimationError, all_finite, increasing, same_length};
 use crate::filter::segments;
 use std::ops::Range;
@@ -23,7 +23,7 @@ const LANES: usize = 4;
 /// Smooths a recording forward and backward (RTS). `t_s` strictly increasing; `q_rad[joint][sample]`.
 ///
 /// A stretch between gaps that is too short to determine a state (fewer than N samples) keeps its measured
-/// positions, with derivatives 0 and the standard deviations of [`PRIOR_SD`].
+/// positions, with derivatives 0 and the standard deviations of [`super::PRIOR_SD`].
 ///
 /// # Errors
 /// [`EstimationError`] if settings, lengths, time or a sample cannot be used.
@@ -54,9 +54,9 @@ pub fn smooth_into(
 /// Smooths a recording piece by piece with bounded memory: pieces of `block` samples, each with `overlap`
 /// samples of past and future around it, are handed to `sink` as (index of the first sample, piece), in order.
 ///
-/// The influence of what lies beyond the overlap decays like exp(−overlap/memory); with an overlap of 20/π
-/// divided by bandwidth × period (see [`super::Noise::bandwidth_hz`]) the difference from [`smooth`] is about
-/// 1e-9 of the smoother's own correction.
+/// What lies beyond the overlap matters like exp(−overlap/memory): with an overlap of 20/π divided by bandwidth
+/// × period (see [`super::Noise::bandwidth_hz`]) the difference from [`smooth`] is about 2e-9 of the smoother's
+/// own correction (constant jerk: 2e-7).
 ///
 /// # Errors
 /// As [`smooth`], or for a block of 0 samples.
@@ -113,6 +113,8 @@ fn check(settings: &Settings, t_s: &[f64], q_rad: &[&[f64]]) -> Result<(), Estim
 fn smooth_order<const N: usize>(settings: &Settings, t_s: &[f64], q_rad: &[&[f64]], out: &mut Smoothed) {
     let mut groups: Vec<Gains<N>> = Vec::new();
     group(&settings.noise, settings.update, &mut groups, &mut out.group_of);
+    out.measurement_sd.clear();
+    out.measurement_sd.extend(settings.noise.iter().map(|n| n.measurement_sd));
     let (n, joints) = (t_s.len(), q_rad.len());
     let mut lists = [&mut out.q_rad, &mut out.qd_rad_s, &mut out.qdd_rad_s2, &mut out.spare];
     for list in &mut lists {
@@ -133,7 +135,7 @@ fn smooth_order<const N: usize>(settings: &Settings, t_s: &[f64], q_rad: &[&[f64
     for range in segments(t_s, settings.gap_s) {
         out.starts.push(range.start);
         let period = Period::new(settings);
-        let mut stretch = Stretch { settings, t_s, q_rad, group_of: &out.group_of, range, period };
+        let mut stretch = Stretch { t_s, q_rad, group_of: &out.group_of, range, period };
         stretch.smooth(&groups, &mut x, &mut out.deviations);
     }
     for (j, signals) in x.into_iter().enumerate() {
@@ -152,7 +154,6 @@ struct Checkpoint<const N: usize> {
 
 /// A stretch without gaps.
 struct Stretch<'a> {
-    settings: &'a Settings,
     t_s: &'a [f64],
     q_rad: &'a [&'a [f64]],
     group_of: &'a [usize],
@@ -225,10 +226,8 @@ impl Stretch<'_> {
                     signal[k] = if i == 0 { self.q_rad[j][k] } else { 0.0 };
                 }
             }
-            let sd_q = self.settings.noise[j].measurement_sd;
-            let unknown = [sd_q, PRIOR_SD[0], PRIOR_SD[1]];
-            for (signal, v) in sd[self.group_of[j]].iter_mut().zip(unknown) {
-                signal[self.range.clone()].fill(v);
+            for (order, signal) in sd[self.group_of[j]].iter_mut().enumerate() {
+                signal[self.range.clone()].fill(if order == 0 { 1.0 } else { f64::INFINITY });
             }
         }
     }
@@ -254,7 +253,7 @@ impl Stretch<'_> {
                 let filtered = mean.x;
                 let dt = self.t_s[begin + 1] - self.t_s[begin];
                 let first = plans[g].first.get(k).unwrap_or(gains[g].information());
-                let a = mean.advance(step, first, dt, self.q_rad[j][begin + 1], gains[g].r());
+                let a = mean.advance(step, first, dt, self.q_rad[j][begin + 1]);
                 let keep = if step.determined() { filtered } else { a };
                 for (signal, v) in x[j].iter_mut().zip(keep) {
                     signal[begin] = v;

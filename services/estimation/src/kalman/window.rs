@@ -1,7 +1,9 @@
 //! The waiting samples of the fixed-lag smoother and the maps between them, for N states.
 
-use super::gain::{Back, Gains, Mean, Period, carried, deviations, group};
-use super::small::{Vector, apply, congruence_plus, product};
+use super::gain::{Back, Gains, Mean, Period, deviations, group, scaled};
+use super::maps::{Maps, Powers, composed, shifted};
+use super::model::carried;
+use super::small::{Vector, congruence_plus};
 use super::stream::{LagEstimate, Wait};
 use super::{JointState, PRIOR_SD, Settings};
 
@@ -14,40 +16,6 @@ struct Sample {
     bridged: bool,
 }
 
-/// x_k from x_{k+m} over m steps, first step first: C = C₁C₂, A = A₁ + C₁A₂C₁ᵀ.
-fn composed<const N: usize>(first: &Back<N>, second: &Back<N>) -> Back<N> {
-    Back { c: product(&first.c, &second.c), a: congruence_plus(&first.c, &second.a, &first.a) }
-}
-
-fn shifted<const N: usize>(first: &Vector<N>, c: &[[f64; N]; N], second: &Vector<N>) -> Vector<N> {
-    let drawn = apply(c, second);
-    std::array::from_fn(|i| first[i] + drawn[i])
-}
-
-/// Maps of samples in a row: per group the data-free part, per joint the shift a.
-#[derive(Debug, Clone)]
-struct Maps<const N: usize> {
-    back: Vec<Back<N>>,
-    shift: Vec<Vector<N>>,
-    len: usize,
-}
-
-impl<const N: usize> Maps<N> {
-    fn new(entries: usize, groups: usize, joints: usize) -> Self {
-        let zero = Back { c: [[0.0; N]; N], a: [[0.0; N]; N] };
-        Self { back: vec![zero; entries * groups], shift: vec![[0.0; N]; entries * joints], len: 0 }
-    }
-}
-
-/// Compositions of m converged maps, m = 1, 2, …: they depend on m alone.
-#[derive(Debug, Clone)]
-struct Powers<const N: usize> {
-    table: Vec<Back<N>>,
-    len: usize,
-    /// Which converged step they belong to, per group.
-    version: u64,
-}
-
 /// Two stacks: compositions from each of the older samples on, and the composition of the newer ones so far.
 #[derive(Debug, Clone)]
 pub(super) struct Window<const N: usize> {
@@ -56,6 +24,7 @@ pub(super) struct Window<const N: usize> {
     period: Period,
     pub(super) groups: Vec<Gains<N>>,
     group_of: Vec<usize>,
+    measurement_sd: Vec<f64>,
     means: Vec<Mean<N>>,
     /// Ring of the waiting samples, the newest included, with their raw measurements.
     samples: Vec<Sample>,
@@ -110,6 +79,7 @@ impl<const N: usize> Window<N> {
             sd_of: 0,
             groups,
             group_of,
+            measurement_sd: settings.noise.iter().map(|n| n.measurement_sd).collect(),
         }
     }
 
@@ -119,6 +89,9 @@ impl<const N: usize> Window<N> {
         self.gap_s = settings.gap_s;
         self.period = Period::new(settings);
         group(&settings.noise, settings.update, &mut self.groups, &mut self.group_of);
+        for (own, noise) in self.measurement_sd.iter_mut().zip(&settings.noise) {
+            *own = noise.measurement_sd;
+        }
         self.powers.len = 0;
         self.powers.version = 0;
     }
@@ -242,7 +215,7 @@ impl<const N: usize> Window<N> {
                 None => self.raw[before * n + j],
             };
             self.raw[place * n + j] = z;
-            let a = mean.advance(gains.step(), gains.information(), dt, z, gains.r());
+            let a = mean.advance(gains.step(), gains.information(), dt, z);
             if !waiting {
                 continue;
             }
@@ -359,8 +332,8 @@ impl<const N: usize> Window<N> {
                 let [sd_qd, sd_qdd, _] = PRIOR_SD;
                 *state = JointState { q, sd_qd, sd_qdd, ..JointState::default() };
             }
-            for (state, &group) in self.states.iter_mut().zip(&self.group_of) {
-                state.sd_q = self.groups[group].r().sqrt();
+            for (state, sd) in self.states.iter_mut().zip(&self.measurement_sd) {
+                state.sd_q = *sd;
             }
             self.sd_of = 0;
         }
@@ -435,9 +408,11 @@ impl<const N: usize> Window<N> {
                 let map = pick(self.older_steady, older, older - 1, group, &self.older.back, &self.powers.table);
                 p = congruence_plus(&map.c, &p, &map.a);
             }
+            let unit = deviations(&p);
             for j in (0..n).filter(|&j| self.group_of[j] == group) {
                 let state = &mut self.states[j];
-                [state.sd_q, state.sd_qd, state.sd_qdd] = deviations(&p);
+                let sd = self.measurement_sd[j];
+                [state.sd_q, state.sd_qd, state.sd_qdd] = std::array::from_fn(|i| scaled(unit[i], i, sd));
             }
         }
         self.sd_of = if self.steady_run >= later { later } else { 0 };

@@ -213,6 +213,28 @@ fn what_is_not_mass_makes_no_step() {
     }
 }
 
+/// With one joint any torque error looks like some mass; an error of its own kind at every reversal must end in
+/// the interval, not in a series of picks and places.
+#[test]
+fn a_single_joint_with_wrong_friction_sees_no_picks() {
+    let robot = RobotFile::parse("kind = \"serial\"\nname = \"s\"\njoints = [\"j\"]\n[[dh]]\na = 1.0\n").unwrap();
+    let context = StageContext { robot: &robot, urdf: None, model: None };
+    for error_nm in [0.2, 0.5, 1.0] {
+        let mut input = Motion::new(8000).torques(|_| 2.0);
+        for m in &mut input {
+            m.header.joints = 1;
+            m.tau_nm[0] += error_nm * m.qd_rad_s[0].signum();
+        }
+        let out = run(&mut Payload::new(Config::default(), &context).unwrap(), &input);
+        assert!(steps(&out[1000..]).is_empty(), "{error_nm} Nm: {:?}", steps(&out));
+        // Where the mass is called known, it is so within what it says.
+        let claimed: Vec<&PayloadEstimate> = out[1000..].iter().filter(|o| known(o)).collect();
+        assert!(error_nm > 0.3 || claimed.len() > 3000, "{error_nm} Nm: {} known", claimed.len());
+        let within = claimed.iter().filter(|o| (o.mass_kg - 2.0).abs() < 3.0 * o.sd_mass_kg).count();
+        assert!(within as f64 >= 0.9 * claimed.len() as f64, "{error_nm} Nm: {within} of {}", claimed.len());
+    }
+}
+
 #[test]
 fn noise_of_the_model_file_is_used_from_the_start() {
     let mut model = ModelFile::nominal(&robot());

@@ -31,7 +31,8 @@ pub enum ProcessNoise {
     Bandwidth(Bandwidth),
     /// Intensity q, for all joints or per joint [rad²/s⁵; constant jerk: rad²/s⁷].
     Value(PerJoint),
-    /// By maximum likelihood from the first stretch of the stream (offline: from the recording).
+    /// By maximum likelihood from the first stretch of the stream (offline: from the recording). Commanded motion
+    /// is smoother than white jerk, for which constant acceleration then opens the band; constant jerk fits it.
     Auto(Auto),
 }
 

@@ -282,7 +282,14 @@ impl<'a> Search<'a> {
         let fixed: Vec<&Column> = atoms.iter().filter(|a| a.fixed).flat_map(|a| &a.columns).collect();
         let mut columns = free.clone();
         columns.extend(&fixed);
-        let mut gram = state.gram.extended(&self.layout, &have, &columns);
+        let mut gram = match self.freed_of_delay(model, state, atoms) {
+            Some(target) => Gram::new(&self.layout, &target, &model.columns()).extended(
+                &self.layout,
+                &std::iter::once(&target).chain(model.columns()).collect::<Vec<_>>(),
+                &columns,
+            ),
+            None => state.gram.extended(&self.layout, &have, &columns),
+        };
         let size = state.fit.beta.len() + columns.len();
         for slot in (size - fixed.len()..size).rev() {
             gram = gram.absorbed(slot);
@@ -292,6 +299,20 @@ impl<'a> Search<'a> {
         let fit = gram.fit(&self.layout, &state.weights, &precision)?;
         let amplitude = fit.beta[state.fit.beta.len()..].to_vec();
         Some(self.compare(state, &state.fit, &fit, amplitude))
+    }
+
+    /// The target with the delay that the tolerance took given back, where a delay itself is to be judged.
+    fn freed_of_delay(&self, model: &Model, state: &State, atoms: &[&Atom]) -> Option<Column> {
+        if !atoms.iter().any(|a| self.families[a.family].id() == "torque_delay") {
+            return None;
+        }
+        let (i, value) = model
+            .clamped
+            .iter()
+            .find(|(i, _)| matches!(&model.base[*i].role, BaseRole::Tolerance(name) if name == DELAY))?;
+        let mut target = state.target.clone();
+        subtract(&mut target, &model.base[*i].column, -value);
+        Some(target)
     }
 
     /// Gain of `new` over `old`.

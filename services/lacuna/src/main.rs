@@ -2,10 +2,19 @@
 
 mod bench;
 mod demo;
+mod diagnose;
+mod diagnose_report;
 mod graph;
+mod identify;
+mod identify_report;
+mod info;
+mod progress;
 mod recorded;
+mod recover;
 mod runs;
+mod simulate;
 mod supervise;
+mod words;
 
 use clap::{Parser, Subcommand};
 use lacuna_stage::Failure;
@@ -31,6 +40,16 @@ enum Command {
     Status(runs::StatusArgs),
     /// Print the logs of a run.
     Logs(runs::LogsArgs),
+    /// Identify a robot's model from recordings, with its error on data it has not seen.
+    Identify(identify::IdentifyArgs),
+    /// Find the physics that the robot's model leaves out: where, what, how large, how sure.
+    Diagnose(diagnose::DiagnoseArgs),
+    /// Simulate closed-loop recordings of a robot; the truth goes to a file of its own.
+    Simulate(simulate::SimulateArgs),
+    /// Show what is in a recording.
+    Info(info::InfoArgs),
+    /// Complete an MCAP recording that was cut off or damaged.
+    Recover(recover::RecoverArgs),
     /// The paper's experiment on a simulated robot, through the real process graph.
     Demo(demo::DemoArgs),
     /// Benchmarks, each with its baseline in the same run.
@@ -43,6 +62,11 @@ fn main() -> ExitCode {
         Command::Down(args) => runs::down(&args),
         Command::Status(args) => runs::status(&args),
         Command::Logs(args) => runs::logs(&args),
+        Command::Identify(args) => identify::identify(&args),
+        Command::Diagnose(args) => diagnose::diagnose(&args),
+        Command::Simulate(args) => simulate::simulate(&args),
+        Command::Info(args) => info::info(&args),
+        Command::Recover(args) => recover::recover(&args),
         Command::Demo(args) => demo::demo(&args),
         Command::Bench(args) => bench::bench(&args),
     };

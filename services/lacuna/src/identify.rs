@@ -1,0 +1,202 @@
+//! `lacuna identify`: from recordings to a model, its account and its report.
+
+use crate::progress::Progress;
+use crate::{CommandResult, identify_report, words};
+use clap::Args;
+use lacuna_identify::condition::Conditioning;
+use lacuna_identify::outcome::{Identification, NotExcited, ParameterRow};
+use lacuna_identify::{Delay, FileRange, Options, Outcome, Signal};
+use lacuna_interfaces::BadInput;
+use lacuna_report::number::{percent, significant};
+use lacuna_stage::Failure;
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+#[derive(Args)]
+pub struct IdentifyArgs {
+    /// Robot file.
+    #[arg(long, value_name = "FILE")]
+    robot: PathBuf,
+    /// Folder for model.toml, identification.json and report.html.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Recordings (CSV, MCAP or ROS 2 bag); every one is held out in turn.
+    #[arg(value_name = "RECORDING")]
+    recordings: Vec<PathBuf>,
+    /// Recordings, or parts of them in seconds, to train on: FILE, FILE@from:to.
+    #[arg(long, num_args = 1.., value_name = "FILE[@from:to]")]
+    train: Vec<String>,
+    /// Recordings, or parts of them, to test on.
+    #[arg(long, num_args = 1.., value_name = "FILE[@from:to]")]
+    test: Vec<String>,
+    /// How to hold out: recordings, halves or kfold=N. Default: by recording; halves of time for a single one.
+    #[arg(long, value_name = "HOW")]
+    holdout: Option<String>,
+    /// pooled: all parameters of all joints in one weighted, robust fit; paper: the paper's grid search and averages.
+    #[arg(long, default_value = "pooled")]
+    method: String,
+    /// motor: the torque columns; motor-minus-link: less the torque sensor's, which leaves friction and rotors.
+    #[arg(long, default_value = "motor")]
+    signal: String,
+    /// A joint counts as moving above this speed [rad/s]; 0 counts every sample.
+    #[arg(long, value_name = "RAD_S", default_value_t = Conditioning::default().moving_rad_s, allow_negative_numbers = true)]
+    moving: f64,
+    /// Band in which torque and model are compared [Hz]. Default: from the sampling rate.
+    #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
+    band: Option<f64>,
+    /// Low-pass on positions and torques before differentiation [Hz]. Default: twice the band.
+    #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
+    position_band: Option<f64>,
+    /// Rate that irregular recordings are brought to [Hz]. Default: that of the median step.
+    #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
+    rate: Option<f64>,
+    /// Also fit with positive definite pseudo-inertias, and say what that costs.
+    #[arg(long)]
+    consistent: bool,
+    /// Delay between torque and position: estimate, off, or seconds.
+    #[arg(long, default_value = "estimate", allow_hyphen_values = true)]
+    delay: String,
+    /// Samples this many robust standard deviations off their neighbours are spikes; 0 keeps all.
+    #[arg(long, value_name = "SIGMAS", default_value_t = Conditioning::default().spike_threshold, allow_negative_numbers = true)]
+    spikes: f64,
+    /// Plain least squares: no bound on the influence of outliers.
+    #[arg(long)]
+    no_robust: bool,
+    /// Let Coulomb friction change sign at once, not over a small movement.
+    #[arg(long)]
+    no_bristle: bool,
+    /// Length of a block of time behind the intervals [s]. Default: from the amount of data.
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    block: Option<f64>,
+    /// Print identification.json on standard output, in place of the summary.
+    #[arg(long)]
+    json: bool,
+}
+
+impl IdentifyArgs {
+    fn options(&self) -> Result<Options, BadInput> {
+        let ranges = |list: &[String]| list.iter().map(|text| text.parse()).collect::<Result<Vec<FileRange>, _>>();
+        Ok(Options {
+            robot: self.robot.clone(),
+            recordings: self.recordings.clone(),
+            train: ranges(&self.train)?,
+            test: ranges(&self.test)?,
+            holdout: self.holdout.as_deref().map(str::parse).transpose()?,
+            method: self.method.parse()?,
+            signal: signal(&self.signal)?,
+            robust: !self.no_robust,
+            consistent: self.consistent,
+            delay: delay(&self.delay)?,
+            conditioning: Conditioning {
+                band_hz: self.band,
+                position_band_hz: self.position_band,
+                moving_rad_s: self.moving,
+                rate_hz: self.rate,
+                spike_threshold: self.spikes,
+                bristle: !self.no_bristle,
+                ..Conditioning::default()
+            },
+            block_s: self.block.map(|s| words::positive("--block", s)).transpose()?,
+        })
+    }
+}
+
+fn signal(text: &str) -> Result<Signal, BadInput> {
+    match text {
+        "motor" => Ok(Signal::Motor),
+        "motor-minus-link" => Ok(Signal::MotorMinusLink),
+        _ => Err(BadInput::new(format!("--signal: found \"{text}\"; expected motor or motor-minus-link"))),
+    }
+}
+
+fn delay(text: &str) -> Result<Delay, BadInput> {
+    match (text, text.parse::<f64>()) {
+        ("estimate", _) => Ok(Delay::Estimate),
+        ("off", _) => Ok(Delay::Off),
+        (_, Ok(seconds)) if seconds.is_finite() => Ok(Delay::Fixed(seconds)),
+        _ => Err(BadInput::new(format!("--delay: found \"{text}\"; expected estimate, off or seconds"))),
+    }
+}
+
+/// `lacuna identify`.
+pub fn identify(args: &IdentifyArgs) -> CommandResult {
+    let options = args.options()?;
+    words::folder_for(&args.out)?;
+    let progress = Progress::bar();
+    let outcome = lacuna_identify::identify(&options, &mut |share, words| progress.at(share, words))?;
+    if options.consistent && outcome.identification.consistency.is_none() {
+        // Never an ordinary model under the name of a consistent one.
+        return Err(Failure::run("--consistent: no physically consistent fit was made for this robot and method"));
+    }
+    progress.step("writing the report");
+    let html = lacuna_report::identification_report(&identify_report::data(&outcome));
+    lacuna_identify::write(&outcome, &args.out)?;
+    words::write(&args.out.join("report.html"), html.as_bytes())?;
+    drop(progress);
+    if args.json {
+        words::print_json(&outcome.identification)?;
+    } else {
+        let files = words::files(&args.out, &["model.toml", "identification.json", "report.html"]);
+        words::say(&(summary(&outcome) + &files));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// What a user should see first: how good, what is not in the data, what to beware of.
+fn summary(outcome: &Outcome) -> String {
+    let id = &outcome.identification;
+    let held = &id.held_out;
+    let mut out = String::new();
+    // Writing to a String cannot fail.
+    let _ = writeln!(out, "{}", identify_report::verdict(id));
+    let moving = if held.moving_only { format!("moving above {} rad/s", held.moving_rad_s) } else { "all samples".to_owned() };
+    let _ = writeln!(out, "Held out: {}; {moving}; 0 to {} Hz.", words::split(&held.split), significant(held.band_hz, 3));
+    out.push('\n');
+    out.push_str(&joint_table(id));
+    let departing: Vec<&ParameterRow> = id.parameters.iter().filter(|p| p.departs == Some(true)).collect();
+    let _ = writeln!(out, "\n{} identified; {}.", words::count(id.parameters.len(), "parameter"), match departing.len() {
+        0 => "none departs from the robot file beyond interval and tolerance".to_owned(),
+        n => format!("{n} depart from the robot file beyond interval and tolerance (report.html lists them)"),
+    });
+    out.push_str(&not_excited(&id.not_excited));
+    out.push_str(&words::repairs(&id.repairs));
+    out.push_str(&words::warnings(&id.warnings));
+    out.push('\n');
+    out
+}
+
+fn joint_table(id: &Identification) -> String {
+    let score = &id.held_out.score;
+    let width = id.joints.iter().map(|j| j.chars().count()).max().unwrap_or(0).max(5);
+    let mut out = String::new();
+    let unit = &id.torque_unit;
+    let rms = format!("RMS [{unit}]");
+    let _ = writeln!(out, "{:width$}  {rms:>10}  {:>10}  {:>10}  {:>10}", "Joint", "mean", "std", "relative");
+    for (j, name) in id.joints.iter().enumerate() {
+        let get = |list: &[f64]| list.get(j).map_or_else(String::new, |v| significant(*v, 3));
+        let relative = score.relative_error_per_joint.get(j).map_or_else(String::new, |v| percent(*v));
+        let [rms, mean, std] = [get(&score.rms_nm), get(&score.mean_nm), get(&score.std_nm)];
+        let _ = writeln!(out, "{name:width$}  {rms:>10}  {mean:>10}  {std:>10}  {relative:>10}");
+    }
+    out
+}
+
+/// Parameters that the data do not support, together where the reason is the same.
+fn not_excited(list: &[NotExcited]) -> String {
+    if list.is_empty() {
+        return String::new();
+    }
+    let mut groups: Vec<(&str, Vec<&str>)> = Vec::new();
+    for row in list {
+        match groups.iter_mut().find(|(reason, _)| *reason == row.reason) {
+            Some((_, symbols)) => symbols.push(&row.symbol),
+            None => groups.push((&row.reason, vec![&row.symbol])),
+        }
+    }
+    let mut out = format!("{} not excited, so not in the model:\n", words::count(list.len(), "parameter"));
+    for (reason, symbols) in groups {
+        let _ = writeln!(out, "  {}: {reason}", symbols.join(", "));
+    }
+    out
+}

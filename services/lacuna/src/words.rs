@@ -1,0 +1,114 @@
+//! What the offline commands print alike: counts, repairs, warnings, files; and how they write files.
+
+use lacuna_interfaces::{BadInput, Repair, RepairKind};
+use lacuna_stage::Failure;
+use serde::Serialize;
+use std::io::Write;
+use std::path::Path;
+
+/// `1 parameter`, `3 parameters`.
+pub fn count(n: usize, noun: &str) -> String {
+    format!("{n} {noun}{}", if n == 1 { "" } else { "s" })
+}
+
+/// A repair as a user would say it.
+pub fn repair(kind: RepairKind) -> &'static str {
+    match kind {
+        RepairKind::Spike => "single-sample spike replaced",
+        RepairKind::Unwrapped => "wrapped angle unwrapped",
+        RepairKind::DuplicateStamp => "repeated stamp dropped",
+        RepairKind::TruncatedTail => "row cut off in mid-write dropped",
+        RepairKind::Gap => "gap in time, nothing filled in",
+    }
+}
+
+/// How rows were held out, in words.
+pub fn split(name: &str) -> String {
+    match name {
+        "files" => "the test recordings given".to_owned(),
+        "recordings" => "every recording in turn".to_owned(),
+        "halves" => "both halves of time in turn".to_owned(),
+        other => match other.strip_prefix("kfold=") {
+            Some(n) => format!("each of {n} parts of time in turn"),
+            None => other.to_owned(),
+        },
+    }
+}
+
+/// The repairs, one line each; empty without any.
+pub fn repairs(list: &[Repair]) -> String {
+    let line = |r: &Repair| format!("  {}: {}, {} × {}\n", r.file, r.signal, r.count, repair(r.kind));
+    if list.is_empty() { String::new() } else { format!("Repaired:\n{}", list.iter().map(line).collect::<String>()) }
+}
+
+/// The warnings, one line each; empty without any.
+pub fn warnings(list: &[String]) -> String {
+    let line = |w: &String| format!("  {w}\n");
+    if list.is_empty() { String::new() } else { format!("Warnings:\n{}", list.iter().map(line).collect::<String>()) }
+}
+
+/// Where files lie, on one line.
+pub fn files(folder: &Path, names: &[&str]) -> String {
+    let paths: Vec<String> = names.iter().map(|name| folder.join(name).display().to_string()).collect();
+    format!("Files: {}\n", paths.join(", "))
+}
+
+/// Checks, before minutes of work, that `path` can be a folder for results.
+///
+/// # Errors
+/// If something else is there.
+pub fn folder_for(path: &Path) -> Result<(), BadInput> {
+    if path.exists() && !path.is_dir() {
+        return Err(BadInput::new("found a file; expected a folder, or a name that is free").in_file(path));
+    }
+    Ok(())
+}
+
+/// Writes a file, with its folder.
+///
+/// # Errors
+/// If the operating system refuses.
+pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    let fail = |e: std::io::Error| Failure::usage(format!("{}: cannot be written: {e}", path.display()));
+    if let Some(folder) = path.parent().filter(|f| !f.as_os_str().is_empty()) {
+        std::fs::create_dir_all(folder).map_err(fail)?;
+    }
+    std::fs::write(path, bytes).map_err(fail)
+}
+
+/// Prints on standard output. A reader that has gone away (`| head`) is not an error.
+pub fn say(text: &str) {
+    let _ = std::io::stdout().lock().write_all(text.as_bytes());
+}
+
+/// Prints a value as JSON on standard output.
+///
+/// # Errors
+/// If the value cannot be written as JSON.
+pub fn print_json(value: &impl Serialize) -> Result<(), Failure> {
+    let text = serde_json::to_string_pretty(value).map_err(|e| Failure::run(format!("JSON: {e}")))?;
+    say(&(text + "\n"));
+    Ok(())
+}
+
+/// A positive option value.
+///
+/// # Errors
+/// If it is not.
+pub fn positive(key: &str, value: f64) -> Result<f64, BadInput> {
+    if value.is_finite() && value > 0.0 {
+        return Ok(value);
+    }
+    Err(BadInput::new(format!("{key}: found {value}; expected a positive number")))
+}
+
+/// An option value that is zero or more.
+///
+/// # Errors
+/// If it is not.
+pub fn not_negative(key: &str, value: f64) -> Result<f64, BadInput> {
+    if value.is_finite() && value >= 0.0 {
+        return Ok(value);
+    }
+    Err(BadInput::new(format!("{key}: found {value}; expected zero or a positive number")))
+}

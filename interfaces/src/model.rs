@@ -1,7 +1,7 @@
 //! `model.toml`: what identification or diagnosis found, in the form the stages load.
 //!
-//! `[rigid_body]` belongs to the torque stage, `[friction]` and `[[term]]` to the friction stage (a term
-//! whose effect belongs to another stage is run there), `[payload]` and `[noise]` to the payload stage.
+//! `[rigid_body]` belongs to the torque stage, `[friction]` and `[[term]]` to the friction stage (which runs
+//! all terms, whatever stage their cause sits in), `[payload]` and `[noise]` to the payload stage.
 
 use crate::robot::TorqueUnit;
 use crate::{BadInput, RobotFile};

@@ -20,12 +20,17 @@
 //! friction what friction can explain, and says so: the joint's bit in `standstill` and
 //! [`flag::STANDSTILL`] are set, and later stages leave the joint out. What exceeds ± f_c remains in the
 //! residual, since a stuck joint cannot explain that.
-
-mod terms;
-
-pub use terms::{TermState, build_terms};
+//!
+//! **Terms.** All `[[term]]`s of the model file run here, whatever stage their cause belongs to: this is the
+//! first stage that has motion, rigid-body torque and temperature together. They are those of the catalogue
+//! ([`lacuna_physics::effects`]), see the friction above as part of the drive's torque, take the direction of a
+//! standing joint as 0, and start anew at [`flag::STATE_RESET`], [`flag::GAP`] and [`flag::UNREACHABLE`]; where
+//! there is no rigid-body torque there are no terms. A payload that the model file knows with its times is
+//! thereby gone from what the payload stage sees.
 
 use lacuna_interfaces::{BadInput, FrictionTorque, Joints, MAX_JOINTS, Stage, StageContext, TorqueModel, flag};
+use lacuna_physics::effects::{EffectContext, TermInput, Terms, build_terms};
+use lacuna_physics::{build, parameters_of};
 use serde::Deserialize;
 
 /// Configuration of the friction stage.
@@ -49,7 +54,41 @@ pub struct Friction {
     f_c: Joints,
     offset: Joints,
     standstill_rad_s: Joints,
-    terms: Vec<Box<dyn TermState>>,
+    /// Speed over which terms ramp the sign of speeds that are no joint's own [rad/s].
+    ramp_rad_s: f64,
+    terms: Option<Terms>,
+}
+
+impl Friction {
+    /// Velocity of joint `i`, and its direction of sliding: 0 if it stands still. A velocity that is not a
+    /// number is no motion: the joint is then reported as standing.
+    fn sliding(&self, qd: &Joints, i: usize) -> (f64, f64) {
+        let qd = if qd[i].is_finite() { qd[i] } else { 0.0 };
+        let slides = qd.abs() >= self.standstill_rad_s[i] && qd != 0.0;
+        (qd, if slides { qd.signum() } else { 0.0 })
+    }
+
+    /// Adds the torque of all terms to the friction in `tau_nm`.
+    fn add_terms(&mut self, input: &TorqueModel, direction: &Joints, tau_nm: &mut Joints) {
+        let Some(terms) = &mut self.terms else { return };
+        if input.header.flags & (flag::STATE_RESET | flag::GAP | flag::UNREACHABLE) != 0 {
+            terms.reset();
+        }
+        if input.header.has(flag::UNREACHABLE) {
+            return;
+        }
+        let sample = TermInput {
+            stamp_ns: input.header.stamp_ns,
+            q_rad: &input.q_rad,
+            qd_rad_s: &input.qd_rad_s,
+            qdd_rad_s2: &input.qdd_rad_s2,
+            direction,
+            ramp_rad_s: self.ramp_rad_s,
+            tau_rigid_nm: &input.tau_rigid_nm,
+            temperature_degc: &input.temperature_degc,
+        };
+        terms.add_torque(&sample, tau_nm);
+    }
 }
 
 impl Stage for Friction {
@@ -69,7 +108,8 @@ impl Stage for Friction {
             f_c: [0.0; MAX_JOINTS],
             offset: [0.0; MAX_JOINTS],
             standstill_rad_s: [v; MAX_JOINTS],
-            terms: Vec::new(),
+            ramp_rad_s: v,
+            terms: None,
         };
         let Some(model) = context.model else { return Ok(stage) };
         model.check(context.robot)?;
@@ -78,7 +118,12 @@ impl Stage for Friction {
         copy("friction.f_c", &friction.f_c, 0.0, &mut stage.f_c)?;
         copy("friction.offset", &friction.offset, f64::NEG_INFINITY, &mut stage.offset)?;
         copy("friction.standstill_rad_s", &friction.standstill_rad_s, 0.0, &mut stage.standstill_rad_s)?;
-        stage.terms = build_terms(model, context.robot)?;
+        if !model.terms.is_empty() {
+            let body = build(context.robot, context.urdf)?;
+            let pi = parameters_of(body.as_ref(), &model.rigid_body)?;
+            let effects = EffectContext { robot: context.robot, urdf: context.urdf, body: body.as_ref(), pi: &pi };
+            stage.terms = Some(build_terms(model, &effects)?);
+        }
         Ok(stage)
     }
 
@@ -95,26 +140,23 @@ impl Stage for Friction {
             standstill: 0,
             reserved: 0,
         };
-        for term in &mut self.terms {
-            term.add(input, &mut output.tau_friction_nm);
+        let n = self.joints.min(MAX_JOINTS);
+        let mut direction = [0.0; MAX_JOINTS];
+        for i in 0..n {
+            let (qd, sign) = self.sliding(&input.qd_rad_s, i);
+            direction[i] = sign;
+            output.tau_friction_nm[i] += self.f_v[i] * qd + self.f_c[i] * sign;
         }
+        self.add_terms(input, &direction, &mut output.tau_friction_nm);
         let drive_off = input.header.has(flag::DRIVE_OFF);
         let no_model = input.header.has(flag::UNREACHABLE);
-        for i in 0..self.joints.min(MAX_JOINTS) {
-            // A velocity that is not a number is no motion: the joint is then reported as standing.
-            let qd = if input.qd_rad_s[i].is_finite() { input.qd_rad_s[i] } else { 0.0 };
-            let rest = output.tau_friction_nm[i] + self.f_v[i] * qd;
-            let coulomb = if qd.abs() >= self.standstill_rad_s[i] && qd != 0.0 {
-                self.f_c[i].copysign(qd)
-            } else {
-                output.standstill |= 1 << i;
-                // With the drive off nothing but friction and the mechanics acts; without a rigid-body torque
-                // there is nothing to balance.
-                let applied = if drive_off { 0.0 } else { input.tau_nm[i] };
-                let held = if no_model { 0.0 } else { applied - input.tau_rigid_nm[i] - rest };
-                hold(held, self.f_c[i])
-            };
-            output.tau_friction_nm[i] = rest + coulomb;
+        for i in (0..n).filter(|&i| direction[i] == 0.0) {
+            output.standstill |= 1 << i;
+            // With the drive off nothing but friction and the mechanics acts; without a rigid-body torque
+            // there is nothing to balance.
+            let applied = if drive_off { 0.0 } else { input.tau_nm[i] };
+            let held = if no_model { 0.0 } else { applied - input.tau_rigid_nm[i] - output.tau_friction_nm[i] };
+            output.tau_friction_nm[i] += hold(held, self.f_c[i]);
         }
         if output.standstill != 0 {
             output.header.flags |= flag::STANDSTILL;

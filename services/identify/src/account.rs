@@ -5,14 +5,14 @@ use crate::columns::Term;
 use crate::condition::{Conditioned, Plan};
 use crate::delay::DelayEstimate;
 use crate::evaluate::Tally;
-use crate::fit::{Solution, Why};
-use crate::identify::{Held, Method, Options, Split, time_ranges};
+use crate::fit::Why;
+use crate::hold_out::{Fitted, Held, Split, time_ranges};
+use crate::options::{Method, Options};
 use crate::outcome::{
     Conditions, Consistency, HeldOut, Identification, JointCurves, Merged, NotExcited, Outcome, ParameterRow,
     ReportData, SCHEMA,
 };
-use crate::paper::ErrorTable;
-use crate::rows::Rows;
+use crate::paper::{ErrorTable, PaperResult};
 use crate::warnings::{self, Findings};
 use lacuna_interfaces::model::{FrictionModel, NoiseModel, RigidBodyModel};
 use lacuna_interfaces::{BadInput, ModelFile, RobotFile};
@@ -24,13 +24,11 @@ pub(crate) struct Account<'a> {
     pub(crate) robot: &'a RobotFile,
     pub(crate) structure: &'a Structure,
     pub(crate) conditioned: &'a [Conditioned],
-    pub(crate) rows: &'a Rows,
     pub(crate) plan: &'a Plan,
     pub(crate) split: &'a Split,
-    pub(crate) solution: &'a Solution,
+    pub(crate) fitted: &'a Fitted,
     pub(crate) held: &'a Held,
     pub(crate) delay: Option<DelayEstimate>,
-    pub(crate) bristle_rad: &'a [Option<f64>],
     pub(crate) names: &'a [String],
 }
 
@@ -40,8 +38,8 @@ pub(crate) fn account(a: &Account<'_>) -> Result<Outcome, BadInput> {
         robot: a.robot,
         structure: a.structure,
         recordings: a.conditioned,
-        rows: a.rows,
-        solution: a.solution,
+        rows: &a.fitted.rows,
+        solution: &a.fitted.solution,
         plan: a.plan,
         held_out: &a.held.score,
         with_standstill: a.held.with_standstill,
@@ -74,21 +72,25 @@ pub(crate) fn account(a: &Account<'_>) -> Result<Outcome, BadInput> {
         not_excited,
         condition_numbers: Conditions {
             structure: a.structure.condition,
-            data: a.solution.condition_all,
-            fitted: a.solution.condition,
+            data: a.fitted.solution.condition_all,
+            fitted: a.fitted.solution.condition,
         },
-        noise_nm: a.solution.sigma.clone(),
-        outlier_share: a.solution.outliers.clone(),
-        rows: a.solution.rows.clone(),
-        blocks: a.solution.blocks,
+        noise_nm: a.fitted.solution.sigma.clone(),
+        outlier_share: a.fitted.solution.outliers.clone(),
+        rows: a.fitted.solution.rows.clone(),
+        blocks: a.fitted.solution.blocks,
         delay: a.delay,
-        bristle_rad: a.bristle_rad.to_vec(),
+        bristle_rad: a.fitted.bristle_rad.clone(),
         conditioning: a.plan.clone(),
-        consistency: a.held.consistent.as_ref().map(|(c, free)| Consistency {
-            free_relative_error: *free,
+        consistency: a.fitted.consistent.as_ref().zip(a.held.free).map(|(c, free)| Consistency {
+            free_relative_error: free,
             training_residual_ratio: (c.constrained / c.free).sqrt(),
         }),
-        paper: a.held.paper.as_ref().map(|(_, r)| r.clone()),
+        paper: a.fitted.paper.as_ref().map(|(_, r)| PaperResult {
+            table1: a.held.table1.clone(),
+            table1_moving: a.held.table1_moving.clone(),
+            ..r.clone()
+        }),
         repairs: a.conditioned.iter().flat_map(|c| c.repairs.clone()).collect(),
         warnings: warnings::all(&findings),
     };
@@ -107,7 +109,7 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
         .iter()
         .map(|&c| NotExcited { symbol: symbol(c), reason: "no motion of this robot excites it".to_owned(), ci95: None })
         .collect();
-    for u in &a.solution.unexcited {
+    for u in &a.fitted.solution.unexcited {
         let terms: Vec<String> = u
             .combination
             .iter()
@@ -126,12 +128,12 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
         };
         rest.push(NotExcited { symbol: symbol(s.base[u.base].column), reason, ci95: None });
     }
-    for &b in &a.solution.excited {
+    for &b in &a.fitted.solution.excited {
         let base = &s.base[b];
         let column = &s.columns[base.column];
-        let (free, half) = (a.solution.beta[b], a.solution.half_width(b));
+        let (free, half) = (a.fitted.solution.beta[b], a.fitted.solution.half_width(b));
         let ci95 = [free - half, free + half];
-        let value = a.held.consistent.as_ref().map_or(free, |(c, _)| c.beta[b]);
+        let value = a.fitted.consistent.as_ref().map_or(free, |c| c.beta[b]);
         let contribution_nm = contribution(a, b) * value.abs();
         let rigid = matches!(column.term, Term::Rigid(_)) && base.nominal != 0.0;
         // An interval that includes zero says nothing, unless there is a nominal value that it is narrower than.
@@ -171,9 +173,9 @@ fn contribution(a: &Account<'_>, b: usize) -> f64 {
     let mut most = 0.0f64;
     for (j, active) in a.structure.active.iter().enumerate() {
         let Some(slot) = active.iter().position(|x| *x == b) else { continue };
-        let joint = &a.rows.joints[j];
+        let joint = &a.fitted.rows.joints[j];
         let (mut sum, mut count) = (0.0, 0.0);
-        for k in (0..a.rows.len()).filter(|&k| a.split.train[k] && joint.fitted[k]) {
+        for k in (0..a.fitted.rows.len()).filter(|&k| a.split.train[k] && joint.fitted[k]) {
             sum += joint.x[k * active.len() + slot].powi(2);
             count += 1.0;
         }
@@ -193,9 +195,9 @@ fn model(a: &Account<'_>, identification: &Identification) -> ModelFile {
     let mut rigid_body = RigidBodyModel::default();
     let mut values: BTreeMap<usize, f64> = BTreeMap::new();
     for (b, base) in s.base.iter().enumerate() {
-        values.insert(base.column, a.solution.beta[b]);
+        values.insert(base.column, a.fitted.solution.beta[b]);
     }
-    if let Some((consistent, _)) = &a.held.consistent {
+    if let Some(consistent) = &a.fitted.consistent {
         // Links that could exist: nothing is merged.
         values = consistent.values.iter().copied().enumerate().collect();
     }
@@ -210,20 +212,22 @@ fn model(a: &Account<'_>, identification: &Identification) -> ModelFile {
             Term::Offset(j) => friction[2][j] = value,
         }
     }
-    if let Some((_, paper)) = &a.held.paper {
+    if let Some((_, paper)) = &a.fitted.paper {
         rigid_body = RigidBodyModel { rho1: Some(paper.rho1), rho2: Some(paper.rho2), ..RigidBodyModel::default() };
-        friction = [paper.f_v.clone(), paper.f_c.clone(), Vec::new()];
+        // An average of regressions may come out negative; no friction is, and the friction stage refuses it.
+        let positive = |list: &[f64]| list.iter().map(|v| v.max(0.0)).collect();
+        friction = [positive(&paper.f_v), positive(&paper.f_c), Vec::new()];
     }
     let [f_v, f_c, offset] = friction;
     let standstill_rad_s = if a.plan.moving_rad_s > 0.0 { vec![a.plan.moving_rad_s; n] } else { Vec::new() };
     model.rigid_body = rigid_body;
     model.friction = FrictionModel { f_v, f_c, offset, standstill_rad_s };
-    model.noise = NoiseModel { sd_tau_nm: a.solution.sigma.clone(), sd_q_rad: Vec::new() };
+    model.noise = NoiseModel { sd_tau_nm: a.fitted.solution.sigma.clone(), sd_q_rad: Vec::new() };
     model.origin = format!(
         "identified ({}) from {} recordings, {} parameters; held-out relative error {:.2} % ({}, {:.4} Hz{})",
         identification.method,
         a.names.len(),
-        a.solution.excited.len(),
+        a.fitted.solution.excited.len(),
         100.0 * identification.held_out.score.relative_error,
         identification.held_out.split,
         a.plan.band_hz,
@@ -250,7 +254,7 @@ const CURVE_POINTS: usize = 4000;
 const BINS: usize = 40;
 
 fn report(a: &Account<'_>) -> ReportData {
-    let rows = a.rows;
+    let rows = &a.fitted.rows;
     let step = rows.len().div_ceil(CURVE_POINTS).max(1);
     let picked: Vec<usize> = (0..rows.len()).step_by(step).collect();
     let mut starts: Vec<(f64, String)> = Vec::new();
@@ -278,7 +282,7 @@ fn report(a: &Account<'_>) -> ReportData {
 }
 
 fn curves(a: &Account<'_>, j: usize, picked: &[usize]) -> JointCurves {
-    let joint = &a.rows.joints[j];
+    let joint = &a.fitted.rows.joints[j];
     let model = &a.held.model[j];
     let (bin_qd_rad_s, bin_residual_nm, bin_std_nm) = binned(a, j);
     JointCurves {
@@ -295,11 +299,11 @@ fn curves(a: &Account<'_>, j: usize, picked: &[usize]) -> JointCurves {
 
 /// Mean and standard deviation of the residual in bins of velocity, over counted rows.
 fn binned(a: &Account<'_>, j: usize) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
-    let joint = &a.rows.joints[j];
+    let joint = &a.fitted.rows.joints[j];
     let most = joint.qd.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
     let mut sums = [[0.0f64; 3]; BINS];
     if most > 0.0 {
-        for k in (0..a.rows.len()).filter(|&k| joint.counted[k]) {
+        for k in (0..a.fitted.rows.len()).filter(|&k| joint.counted[k]) {
             let place = (joint.qd[k] / most + 1.0) * 0.5 * BINS as f64;
             let bin = &mut sums[(place as usize).min(BINS - 1)];
             let e = joint.y[k] - a.held.model[j][k];

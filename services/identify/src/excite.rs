@@ -270,8 +270,10 @@ impl<'a> Problem<'a> {
             let middle = 0.5 * (bound.high + bound.low);
             let (scale, width) = if old.is_some() { (step, step) } else { (1.0, 0.5) };
             let centre = old.map_or(middle, |o| o.0) + 0.3 * width * half * normal();
-            let mut sine: Vec<f64> = (0..h).map(|k| old.map_or(0.0, |o| o.1[k]) + scale * 0.3 * half * normal() / (k + 1) as f64).collect();
-            let mut cosine: Vec<f64> = (0..h).map(|k| old.map_or(0.0, |o| o.2[k]) + scale * 0.3 * half * normal() / (k + 1) as f64).collect();
+            let mut sine: Vec<f64> =
+                (0..h).map(|k| old.map_or(0.0, |o| o.1[k]) + scale * 0.3 * half * normal() / (k + 1) as f64).collect();
+            let mut cosine: Vec<f64> =
+                (0..h).map(|k| old.map_or(0.0, |o| o.2[k]) + scale * 0.3 * half * normal() / (k + 1) as f64).collect();
             rest_at_start(&mut sine, &mut cosine);
             let centre = self.fit_in(j, centre, &mut sine, &mut cosine);
             out.centre.push(centre);
@@ -321,8 +323,7 @@ impl<'a> Problem<'a> {
         for k in 0..INSTANTS {
             // Half a step in, so that no instant is one of rest.
             let t = (k as f64 + 0.5) / INSTANTS as f64 * self.options.period_s;
-            let (q, qd, qdd) =
-                motion(&candidate.centre, &candidate.sine, &candidate.cosine, self.options.period_s, t);
+            let (q, qd, qdd) = motion(&candidate.centre, &candidate.sine, &candidate.cosine, self.options.period_s, t);
             if let Some([low, high]) = self.options.workspace_m {
                 let tip = self.body.tip(&q).ok()?.position_m;
                 if (0..3).any(|i| tip[i] < low[i] || tip[i] > high[i]) {

@@ -27,7 +27,9 @@ pub mod delay;
 pub mod evaluate;
 pub mod excite;
 pub mod fit;
+mod hold_out;
 mod identify;
+mod options;
 pub mod outcome;
 pub mod paper;
 pub mod rows;
@@ -36,6 +38,7 @@ mod warnings;
 
 pub use columns::Signal;
 pub use delay::Delay;
-pub use identify::{Method, Options, identify, identify_recordings};
+pub use identify::{identify, identify_recordings};
+pub use options::{Method, Options};
 pub use outcome::{Identification, Outcome, ReportData, write};
 pub use split::{FileRange, Holdout};

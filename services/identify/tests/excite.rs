@@ -22,11 +22,18 @@ fn limits_hold_and_the_information_grows() {
         let e = excite(&robot, body.as_ref(), &options, &mut |_| ()).unwrap();
         eprintln!(
             "{}: condition {:.1} -> {:.1}, log det {:.1} -> {:.1}, standard errors / {:.2}, {} feasible, {:.2} s",
-            robot.name, e.before.condition, e.after.condition, e.before.log_det, e.after.log_det, e.error_ratio, e.feasible,
+            robot.name,
+            e.before.condition,
+            e.after.condition,
+            e.before.log_det,
+            e.after.log_det,
+            e.error_ratio,
+            e.feasible,
             start.elapsed().as_secs_f64()
         );
         assert!(e.after.log_det > e.before.log_det + 5.0 && e.error_ratio > 1.2);
-        let limit = |list: &Option<lacuna_interfaces::robot::PerJoint>, j: usize| list.as_ref().unwrap().get(j).unwrap();
+        let limit =
+            |list: &Option<lacuna_interfaces::robot::PerJoint>, j: usize| list.as_ref().unwrap().get(j).unwrap();
         for k in 0..20_000 {
             let (q, qd, qdd) = e.at(k as f64 * 0.5e-3);
             for j in 0..3 {
@@ -53,7 +60,8 @@ fn limits_hold_and_the_information_grows() {
 fn impossible_wishes_are_refused_in_words() {
     let robot = RobotFile::parse(ARM).unwrap();
     let body = lacuna_physics::build(&robot, None).unwrap();
-    let fails = |robot: &RobotFile, o: ExciteOptions| excite(robot, body.as_ref(), &o, &mut |_| ()).unwrap_err().to_string();
+    let fails =
+        |robot: &RobotFile, o: ExciteOptions| excite(robot, body.as_ref(), &o, &mut |_| ()).unwrap_err().to_string();
     let mut unlimited = robot.clone();
     unlimited.limits.qd_max_rad_s = None;
     assert!(fails(&unlimited, ExciteOptions::default()).contains("limits.qd_max_rad_s: found none for joint 1 (a)"));

@@ -145,7 +145,7 @@ fn independent_readers_see_what_was_recorded() {
 
 #[test]
 fn stages_are_swapped_by_the_launch_file_alone() {
-    let bench = folder(1.0);
+    let bench = folder(3.0);
     let text = std::fs::read_to_string(workspace().join("launch/replay.toml")).expect("graph");
     let other = text
         .replace("exec = \"lacuna-friction\"", "exec = \"lacuna-test-friction\"")
@@ -175,15 +175,21 @@ fn bad_input_exits_2_with_one_line_and_leaves_no_complete_recording() {
     fn field(row: &str, i: usize, value: &str) -> String {
         row.split(',').enumerate().map(|(k, v)| if k == i { value } else { v }).collect::<Vec<_>>().join(",")
     }
-    let cases: [(&str, Edit, &[&str]); 6] = [
+    let cases: [(&str, Edit, &[&str]); 5] = [
         ("missing column", |t| t.replacen("tau2", "x_tau2", 1), &["run.csv", "tau2"]),
         ("text in a number", |t| line(t, 500, |l| field(l, 2, "abc")), &["run.csv:500", "abc"]),
         ("NaN", |t| line(t, 501, |l| field(l, 4, "nan")), &["run.csv:501", "nan"]),
         ("time runs backwards", |t| line(t, 502, |l| field(l, 0, "0.1")), &["run.csv:502", "0.1"]),
         ("short row", |t| line(t, 503, |_| "0.502,0.1".to_owned()), &["run.csv:503"]),
-        // All arms far up: the forearms cannot meet.
-        ("unreachable pose", |t| line(&line(t, 504, |l| field(l, 1, "-3.1")), 505, |l| field(l, 1, "-3.1")), &["run.csv"]),
     ];
+    // Forearms that cannot meet in the recorded poses.
+    let bench = folder(1.0);
+    bench.write("robot.toml", &DEMO_ROBOT.replace("l2 = 0.88", "l2 = 0.36"));
+    let done = replay(&bench, &[]);
+    let words = error_line(&done);
+    assert_eq!(done.status.code(), Some(2), "{words}");
+    assert!(words.contains("run.csv") && words.contains("workspace"), "{words}");
+    assert!(!complete(&bench.path().join("run.mcap")));
     for (what, edit, expected) in cases {
         let bench = folder(1.0);
         let csv = std::fs::read_to_string(bench.path().join("run.csv")).expect("csv");
@@ -202,7 +208,7 @@ fn bad_files_exit_2_with_one_line_before_anything_starts() {
     let serial = "kind = \"serial\"\nname = \"D3-1200-class\"\njoints = [\"a\", \"b\", \"c\", \"d\"]\n[[dh]]\n[[dh]]\n[[dh]]\n[[dh]]\n";
     let robot = |from: &str, to: &str| DEMO_ROBOT.replacen(from, to, 1);
     let cases = [
-        ("unknown key in robot", "robot.toml", robot("l2 = ", "l3 = "), "robot.toml:8"),
+        ("unknown key in robot", "robot.toml", robot("l2 = ", "l3 = "), "robot.toml:7"),
         ("robot of other joints", "robot.toml", serial.to_owned(), "q4"),
         ("wrong joint names", "robot.toml", robot("[geometry]", "joints = [\"x\", \"y\", \"z\"]\nlimits = { typo = 1 }\n[geometry]"), "typo"),
         ("unknown key in model", "model.toml", MODEL.replace("f_v", "fv"), "model.toml:7"),

@@ -15,6 +15,7 @@ use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 const READY_TIMEOUT: Duration = Duration::from_secs(15);
@@ -24,6 +25,8 @@ const GRACE: Duration = Duration::from_secs(3);
 const DRAIN_TIMEOUT: Duration = Duration::from_secs(30);
 /// After the first sign of failure: time for the others to say what they saw, so that the cause can be told.
 const CAUSE_WINDOW: Duration = Duration::from_millis(150);
+/// How long the last lines of a process that has ended may take.
+const LAST_WORDS: Duration = Duration::from_millis(500);
 const TICK: Duration = Duration::from_millis(3);
 
 /// Result of a run.
@@ -48,6 +51,7 @@ pub struct RunReport {
 struct NodeState {
     child: Option<Child>,
     stdin: Option<ChildStdin>,
+    reader: Option<JoinHandle<()>>,
     ready: bool,
     samples: u64,
     restarts: u32,
@@ -111,6 +115,7 @@ impl<'a> Supervisor<'a> {
             supervisor.nodes.push(NodeState {
                 child: None,
                 stdin: None,
+                reader: None,
                 ready: false,
                 samples: 0,
                 restarts: 0,
@@ -153,7 +158,7 @@ impl<'a> Supervisor<'a> {
         state.state = State::Starting;
         if let Some(stdout) = child.stdout.take() {
             let sender = self.sender.clone();
-            std::thread::spawn(move || {
+            state.reader = Some(std::thread::spawn(move || {
                 for line in BufReader::new(stdout).lines().map_while(Result::ok) {
                     // Lines that are no events (a library's own print) are not the supervisor's business.
                     if let Ok(event) = serde_json::from_str::<Event>(&line)
@@ -162,7 +167,7 @@ impl<'a> Supervisor<'a> {
                         break;
                     }
                 }
-            });
+            }));
         }
         state.child = Some(child);
         Ok(())
@@ -293,8 +298,13 @@ impl<'a> Supervisor<'a> {
     }
 
     fn exited(&mut self, index: usize, status: ExitStatus) -> Result<(), Failure> {
-        // Its last lines may still be on the way.
-        std::thread::sleep(TICK);
+        // Its last lines may still be on the way; the reader ends with the process's standard output.
+        if let Some(reader) = self.nodes[index].reader.take() {
+            let until = Instant::now() + LAST_WORDS;
+            while !reader.is_finished() && Instant::now() < until {
+                std::thread::sleep(Duration::from_micros(200));
+            }
+        }
         self.drain_lines();
         let policy = self.graph.nodes[index].restart;
         let node = &mut self.nodes[index];

@@ -2,7 +2,7 @@
 //!
 //! Positions are low-passed (zero phase) at twice the band and differentiated with the seven-point stencil.
 //! Torques and every regressor are low-passed at the band with the same filter and kept at about five times
-//! the band (PHYSICS.md, numerics: the same filter on both sides reaches the sensor floor).
+//! the band (only the same filter on both sides reaches the sensor floor).
 //!
 //! | symbol | meaning | unit |
 //! |---|---|---|

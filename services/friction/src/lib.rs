@@ -13,7 +13,7 @@
 //! | h | what holds a standing joint: whatever balances the rest, at most f_c | Nm |
 //! | τ, τ_rigid | measured and rigid-body torque | Nm |
 //!
-//! The paper's Φ = [θ̇, sgn θ̇] goes with [f_v, f_c] (PHYSICS.md, erratum 6).
+//! The paper's Φ = [θ̇, sgn θ̇] goes with [f_v, f_c] (NOTATION.md, erratum 6).
 //!
 //! **Standstill.** A stuck joint holds any torque within ± f_c, so no model can say what its friction is.
 //! A smooth sign would put a number there that is wrong by up to f_c; the stage instead attributes to

@@ -7,7 +7,7 @@
 //! ```
 //!
 //! Both errors of the paper are kept apart from the method: ρ1 and ρ2 are linear, so no grid is needed, and an
-//! average of fits is no fit (PHYSICS.md, erratum 7); the pooled method of [`crate::fit`] does neither. Here the
+//! average of fits is no fit (NOTATION.md, erratum 7); the pooled method of [`crate::fit`] does neither. Here the
 //! corrected M_KH is used.
 
 use crate::base::Structure;

@@ -74,7 +74,7 @@ fn paths<const N: usize>(name: &str, body: &dyn RigidBody, samples: &[Sample<N>]
     report(&format!("{name}: regressor {N} x {}", pi.len()), regressor);
 }
 
-/// The Delta's equations as they stand in PHYSICS.md, with general matrices.
+/// The Delta's equations as they stand in NOTATION.md, with general matrices.
 fn delta_by_matrices(robot: &RobotFile, m: &Sample<3>, pi: &[f64]) -> Option<Vec3> {
     let g = robot.geometry.as_ref()?;
     let gravity = Vec3::from(robot.env.gravity);

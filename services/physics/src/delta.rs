@@ -1,6 +1,6 @@
 //! The Delta: three legs, a platform that only translates, massless-rod dynamics linear in twelve parameters.
 //!
-//! T = I θ̈ + G + Jᵀ (M γ − F) (M_KH, paper section 3, corrected by the errata of PHYSICS.md); the grey box
+//! T = I θ̈ + G + Jᵀ (M γ − F) (M_KH, paper section 3, corrected by the errata of NOTATION.md); the grey box
 //! M_Id scales the first two terms by ρ1 and ρ2 (paper eq. 6); forearms with distributed mass add the
 //! elbow-platform coupling `m_JE` and make the platform's inertial and gravitational mass differ.
 //!

@@ -9,7 +9,7 @@
 //! | J | −A⁻ᵀ K, ẋ = J θ̇ | m/rad |
 //! | b_i | s_i·w_i θ̇_i² − \|ẋ − u_i θ̇_i\|²; Aᵀ ẍ = −K θ̈ + b | m²/s² |
 //!
-//! Source: paper section 3 with errata 1, 2 and 4 of PHYSICS.md.
+//! Source: paper section 3 with errata 1, 2 and 4 of NOTATION.md.
 
 use super::Delta;
 use crate::{Mat3, Unreachable, Vec3};

@@ -57,7 +57,7 @@ pub fn grey_box(pi: &[f64; PARAMETERS], rho1: f64, rho2: f64) -> [f64; PARAMETER
     out
 }
 
-/// π of forearms with distributed mass (PHYSICS.md, "Distributed forearm").
+/// π of forearms with distributed mass (NOTATION.md, "Distributed forearm").
 pub(super) fn distributed(l1: f64, l2: f64, m: &Mass, f: &Forearm) -> [f64; PARAMETERS] {
     let (m_f, xi, turning) = (f.mass_kg, f.com_fraction, f.inertia_kg_m2 / (l2 * l2));
     let m_jj = m_f * (1.0 - xi).powi(2) + turning;

@@ -10,7 +10,7 @@ pub(super) static EFFECT: Effect = Effect {
     title: "Air drag at platform or tip",
     law: "c Jᵀ abs(ẋ) ẋ",
     words: "The square of the speed of platform or tip, against its motion: c = ρ C_d A / 2.",
-    reference: "Batchelor 1967, An Introduction to Fluid Dynamics, section 5.11",
+    reference: "Batchelor 1967, An Introduction to Fluid Dynamics, Cambridge University Press",
     parameters: &[ParameterSpec::amplitude("c", "N s^2/m^2", "drag coefficient", NOT_NEGATIVE, 0.3)],
     scope: Scope::Structure,
     robots: Robots::Any,

@@ -10,7 +10,7 @@ pub(super) static EFFECT: Effect = Effect {
     law: "k_1 Δ + k_3 Δ³, Δ = θ − q_0",
     words: "A cable pack or hose that is bent by the joint, stiffer the further it goes. Over a narrow range it is \
             hard to tell from a sine spring.",
-    reference: "Kevac, Filipovic, Rakic 2017, Applied Mathematical Modelling 48, 39-56 (cables as springs on the joint)",
+    reference: "Kovacic, Brennan 2011, The Duffing Equation, Wiley (the law of the spring)",
     parameters: &[
         ParameterSpec::amplitude("k_1", "Nm/rad", "stiffness", ANY, 1.0).or(0.0),
         ParameterSpec::amplitude("k_3", "Nm/rad^3", "stiffening", NOT_NEGATIVE, 2.0).or(0.0),

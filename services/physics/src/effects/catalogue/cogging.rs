@@ -13,7 +13,7 @@ pub(super) static EFFECT: Effect = Effect {
             harmonic drive give a torque of order h per motor revolution; N is the gear ratio of the robot file (1 \
             if it gives none: then h counts per joint revolution). One term per order.",
     reference: "Piccoli, Yim 2016, Int. J. Robotics Research 35, 148-160; Taghirad, Bélanger 1998, J. Dyn. Syst. \
-                Meas. Control 120, 439-450",
+                Meas. Control 120(4)",
     parameters: &[
         ParameterSpec::amplitude("a_s", "Nm", "sine amplitude", ANY, 0.4).or(0.0),
         ParameterSpec::amplitude("a_c", "Nm", "cosine amplitude", ANY, 0.3).or(0.0),

@@ -16,7 +16,7 @@ pub(super) static EFFECT: Effect = Effect {
         ParameterSpec::amplitude("F_x", "N", "largest force on the tip along x", ANY, 60.0).or(0.0),
         ParameterSpec::amplitude("F_y", "N", "largest force on the tip along y", ANY, -40.0).or(0.0),
         ParameterSpec::amplitude("F_z", "N", "largest force on the tip along z", ANY, 30.0).or(0.0),
-        ParameterSpec::shape("t_0", "s", "time of the first touch", (-1e12, 1e12), 0.1),
+        ParameterSpec::shape("t_0", "s", "time of the first touch on the recording's clock", (-1e12, 1e12), 0.1),
         ParameterSpec::shape("T", "s", "duration", (1e-4, 10.0), 0.2).searched(&[0.01, 0.02, 0.04, 0.08, 0.16]),
     ],
     scope: Scope::Structure,

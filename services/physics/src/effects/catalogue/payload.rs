@@ -14,8 +14,10 @@ pub(super) static EFFECT: Effect = Effect {
     reference: "Khalil, Gautier, Lemoine 2007, ICRA, 4943-4948",
     parameters: &[
         ParameterSpec::amplitude("m", "kg", "mass", NOT_NEGATIVE, 1.5),
-        ParameterSpec::shape("t_on", "s", "time of the pick", ANY_TIME, 0.0).or(f64::NEG_INFINITY),
-        ParameterSpec::shape("t_off", "s", "time of the place", ANY_TIME, 10.0).or(f64::INFINITY),
+        ParameterSpec::shape("t_on", "s", "time of the pick on the recording's clock", ANY_TIME, 0.0)
+            .or(f64::NEG_INFINITY),
+        ParameterSpec::shape("t_off", "s", "time of the place on the recording's clock", ANY_TIME, 10.0)
+            .or(f64::INFINITY),
     ],
     scope: Scope::Structure,
     robots: Robots::Any,

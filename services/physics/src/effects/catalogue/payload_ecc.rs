@@ -29,8 +29,10 @@ pub(super) static EFFECT: Effect = Effect {
         ParameterSpec::shape("omega", "rad/s", "rate ω of the wrist", (-200.0, 200.0), 12.0)
             .searched(&[-24.0, -12.0, -6.0, -3.0, 3.0, 6.0, 12.0, 24.0])
             .only(Robots::Delta),
-        ParameterSpec::shape("t_on", "s", "time of the pick", ANY_TIME, 0.0).or(f64::NEG_INFINITY),
-        ParameterSpec::shape("t_off", "s", "time of the place", ANY_TIME, 10.0).or(f64::INFINITY),
+        ParameterSpec::shape("t_on", "s", "time of the pick on the recording's clock", ANY_TIME, 0.0)
+            .or(f64::NEG_INFINITY),
+        ParameterSpec::shape("t_off", "s", "time of the place on the recording's clock", ANY_TIME, 10.0)
+            .or(f64::INFINITY),
     ],
     scope: Scope::Structure,
     robots: Robots::Any,

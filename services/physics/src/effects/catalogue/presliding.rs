@@ -21,7 +21,7 @@ pub(super) static EFFECT: Effect = Effect {
     words: "After a reversal the contact bends before it slides: friction follows a hysteresis loop over the \
             distance δ instead of jumping. The term takes the place of the jump, f s of the Coulomb level becoming \
             f z; with f = f_c all of it does. f_1 is LuGre's micro-damping. Several terms of different δ make a \
-            Maxwell-slip model. It is steady sliding's Coulomb friction, so it vanishes there.",
+            Maxwell-slip model. In steady sliding z = s, and the term vanishes.",
     reference: "Dahl 1968, Aerospace Corp. TOR-0158; Canudas de Wit, Olsson, Åström, Lischinsky 1995, IEEE Trans. \
                 Automatic Control 40, 419-425",
     parameters: &[

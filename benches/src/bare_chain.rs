@@ -37,7 +37,8 @@ impl Chain {
     fn service(
         &self,
         edge: usize,
-    ) -> Result<iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, Message, ()>, AnyError> {
+    ) -> Result<iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, Message, ()>, AnyError>
+    {
         let name: ServiceName = format!("edge{edge}").as_str().try_into()?;
         let started = Instant::now();
         loop {
@@ -83,7 +84,8 @@ fn run() -> Result<(), AnyError> {
 /// Publishes and waits for its reader, both at the start and at the end.
 fn source(chain: &Chain, count: u64, period: u64) -> Result<(), AnyError> {
     let service = chain.service(0)?;
-    let publisher = service.publisher_builder().backpressure_strategy(BackpressureStrategy::RetryUntilDelivered).create()?;
+    let publisher =
+        service.publisher_builder().backpressure_strategy(BackpressureStrategy::RetryUntilDelivered).create()?;
     while service.dynamic_config().number_of_subscribers() == 0 {
         std::thread::sleep(Duration::from_millis(1));
     }
@@ -110,7 +112,8 @@ fn source(chain: &Chain, count: u64, period: u64) -> Result<(), AnyError> {
 fn relay(chain: &Chain, index: usize, count: u64) -> Result<(), AnyError> {
     let input = chain.service(index - 1)?;
     let output = chain.service(index)?;
-    let publisher = output.publisher_builder().backpressure_strategy(BackpressureStrategy::RetryUntilDelivered).create()?;
+    let publisher =
+        output.publisher_builder().backpressure_strategy(BackpressureStrategy::RetryUntilDelivered).create()?;
     while output.dynamic_config().number_of_subscribers() == 0 {
         std::thread::sleep(Duration::from_millis(1));
     }

@@ -45,7 +45,13 @@ pub fn bare(processes: usize, samples: u64, buffer: usize, period_ns: u64) -> Re
     let edges = processes - 1;
     let mut children = Vec::new();
     for i in (0..processes).rev() {
-        let role = if i == 0 { "source" } else if i == edges { "sink" } else { "relay" };
+        let role = if i == 0 {
+            "source"
+        } else if i == edges {
+            "sink"
+        } else {
+            "relay"
+        };
         let numbers = [i as u64, edges as u64, samples, buffer as u64, period_ns].map(|n| n.to_string());
         let child = Command::new(&exe).arg(&domain).arg(role).args(numbers).stdout(Stdio::piped()).spawn()?;
         children.push((role, child));

@@ -32,7 +32,8 @@ pub fn run(launch: &Path, rate_hz: f64, seconds: f64, progress: &mut dyn FnMut(&
     motion::write_csv(&file("run.csv"), samples, rate_hz)?;
     progress(&format!("bare chain at {rate_hz} Hz"));
     let BareResult { p50_us, p99_us, p999_us, max_us, .. } = bare(6, samples, 512, (1e9 / rate_hz) as u64)?;
-    let mut rows = vec![Row { rate_hz, hop: "bare chain, end to end".to_owned(), us: [p50_us, p99_us, p999_us, max_us], lost: 0 }];
+    let mut rows =
+        vec![Row { rate_hz, hop: "bare chain, end to end".to_owned(), us: [p50_us, p99_us, p999_us, max_us], lost: 0 }];
     progress(&format!("live graph at {rate_hz} Hz"));
     let live = launch.join("live.toml");
     let text = |name: &str| file(name).display().to_string();
@@ -44,7 +45,8 @@ pub fn run(launch: &Path, rate_hz: f64, seconds: f64, progress: &mut dyn FnMut(&
     ];
     let report = graph(&live, &sets)?;
     let lost = report["lost"].as_u64().unwrap_or(0);
-    let names: Vec<String> = GraphFile::parse(&std::fs::read_to_string(&live)?)?.nodes.into_iter().map(|n| n.name).collect();
+    let names: Vec<String> =
+        GraphFile::parse(&std::fs::read_to_string(&live)?)?.nodes.into_iter().map(|n| n.name).collect();
     let hops = report["nodes"]["recorder"]["latency"].as_array().cloned().unwrap_or_default();
     for hop in hops {
         let value = |key: &str| hop[key].as_f64().unwrap_or(f64::NAN);

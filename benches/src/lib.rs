@@ -16,7 +16,11 @@ pub type BenchError = Box<dyn std::error::Error>;
 /// Executable beside this one.
 fn beside(name: &str) -> Result<PathBuf, BenchError> {
     let path = std::env::current_exe()?.parent().ok_or("no folder")?.join(name);
-    if path.is_file() { Ok(path) } else { Err(format!("{}: not built; build the whole workspace first", path.display()).into()) }
+    if path.is_file() {
+        Ok(path)
+    } else {
+        Err(format!("{}: not built; build the whole workspace first", path.display()).into())
+    }
 }
 
 /// Median; 0 for none.

@@ -42,8 +42,17 @@ pub fn run(launch: &Path, short: u64, long: u64, progress: &mut dyn FnMut(&str))
             return Err(format!("{} of {samples} samples", report["samples"]).into());
         }
         let nodes = report["nodes"].as_object().cloned().unwrap_or_default();
-        peaks.push(nodes.into_iter().map(|(name, n)| (name, n["peak_rss_kib"].as_f64().unwrap_or(0.0) / 1024.0)).collect::<Vec<_>>());
+        peaks.push(
+            nodes
+                .into_iter()
+                .map(|(name, n)| (name, n["peak_rss_kib"].as_f64().unwrap_or(0.0) / 1024.0))
+                .collect::<Vec<_>>(),
+        );
     }
     let [short, long] = peaks.as_slice() else { return Err("two runs expected".into()) };
-    Ok(short.iter().zip(long).map(|((node, a), (_, b))| Row { node: node.clone(), short_mib: *a, long_mib: *b }).collect())
+    Ok(short
+        .iter()
+        .zip(long)
+        .map(|((node, a), (_, b))| Row { node: node.clone(), short_mib: *a, long_mib: *b })
+        .collect())
 }

@@ -3,7 +3,8 @@
 use crate::{BenchError, median, motion};
 use lacuna_friction::Friction;
 use lacuna_interfaces::{
-    BadInput, FrictionTorque, JointMeasured, JointSmoothed, ModelFile, Recording, RobotFile, Stage, StageContext, TorqueModel,
+    BadInput, FrictionTorque, JointMeasured, JointSmoothed, ModelFile, Recording, RobotFile, Stage, StageContext,
+    TorqueModel,
 };
 use lacuna_payload::Payload;
 use lacuna_smoother::{Smoother, smooth_recording};
@@ -28,8 +29,10 @@ pub struct Row {
 
 /// Six revolute joints with inertias, of a common small arm's proportions.
 fn six_joints() -> String {
-    let dh = [(0.0, 0.3, 1.57), (0.45, 0.0, 0.0), (0.05, 0.0, 1.57), (0.0, 0.42, -1.57), (0.0, 0.0, 1.57), (0.0, 0.1, 0.0)];
-    let mut text = String::from("kind = \"serial\"\nname = \"bench-six\"\njoints = [\"a\", \"b\", \"c\", \"d\", \"e\", \"f\"]\n");
+    let dh =
+        [(0.0, 0.3, 1.57), (0.45, 0.0, 0.0), (0.05, 0.0, 1.57), (0.0, 0.42, -1.57), (0.0, 0.0, 1.57), (0.0, 0.1, 0.0)];
+    let mut text =
+        String::from("kind = \"serial\"\nname = \"bench-six\"\njoints = [\"a\", \"b\", \"c\", \"d\", \"e\", \"f\"]\n");
     for (a, d, alpha) in dh {
         text += &format!("[[dh]]\na = {a:?}\nd = {d:?}\nalpha = {alpha:?}\n");
     }
@@ -59,7 +62,11 @@ fn measured(joints: usize) -> Vec<JointMeasured> {
 }
 
 /// Runs a fresh stage over `input` several times; returns ns per sample and the last turn's output.
-fn time<S: Stage>(config: &str, context: &StageContext<'_>, input: &[S::Input]) -> Result<(f64, Vec<S::Output>), BenchError> {
+fn time<S: Stage>(
+    config: &str,
+    context: &StageContext<'_>,
+    input: &[S::Input],
+) -> Result<(f64, Vec<S::Output>), BenchError> {
     let fresh = || -> Result<S, BenchError> {
         let parsed: S::Config = toml::from_str(config)?;
         S::new(parsed, context).map_err(|e: BadInput| e.to_string().into())
@@ -94,11 +101,10 @@ fn time<S: Stage>(config: &str, context: &StageContext<'_>, input: &[S::Input]) 
 fn copy<T: Copy>(input: &[T]) -> f64 {
     let mut ns: Vec<f64> = (0..TURNS)
         .map(|_| {
-            let Some(mut slot) = input.first().copied() else { return 0.0 };
             let started = Instant::now();
             for from in input {
-                slot = *black_box(from);
-                black_box(&slot);
+                let copy = *black_box(from);
+                black_box(&copy);
             }
             started.elapsed().as_nanos() as f64 / input.len().max(1) as f64
         })
@@ -145,7 +151,8 @@ pub fn run(progress: &mut dyn FnMut(&str)) -> Result<Vec<Row>, BenchError> {
 }
 
 fn offline(robot: &RobotFile, input: &[JointMeasured]) -> Result<f64, BenchError> {
-    let column = |f: &dyn Fn(&JointMeasured, usize) -> f64| (0..3).map(|j| input.iter().map(|m| f(m, j)).collect()).collect();
+    let column =
+        |f: &dyn Fn(&JointMeasured, usize) -> f64| (0..3).map(|j| input.iter().map(|m| f(m, j)).collect()).collect();
     let recording = Recording {
         name: "bench".to_owned(),
         joints: robot.joints.clone(),

@@ -58,7 +58,9 @@ pub fn run(launch: &Path, samples: u64, turns: usize, progress: &mut dyn FnMut(&
             ];
             let report = graph(path, &sets)?;
             if report["samples"].as_u64() != Some(samples) || report["lost"].as_u64() != Some(0) {
-                return Err(format!("{what}: {} of {samples} samples, {} lost", report["samples"], report["lost"]).into());
+                return Err(
+                    format!("{what}: {} of {samples} samples, {} lost", report["samples"], report["lost"]).into()
+                );
             }
             rates[i].push(samples as f64 / report["seconds"].as_f64().unwrap_or(f64::NAN));
         }

@@ -234,8 +234,9 @@ pub fn wait_for<T>(what: &str, limit: Duration, mut check: impl FnMut() -> Optio
 /// If the run failed or printed no report.
 pub fn report(output: &Output) -> serde_json::Value {
     let text = String::from_utf8_lossy(&output.stdout);
-    serde_json::from_str(&text)
-        .unwrap_or_else(|e| panic!("no report ({e}); stdout: {text}; stderr: {}", String::from_utf8_lossy(&output.stderr)))
+    serde_json::from_str(&text).unwrap_or_else(|e| {
+        panic!("no report ({e}); stdout: {text}; stderr: {}", String::from_utf8_lossy(&output.stderr))
+    })
 }
 
 /// The one line of standard error of a command that failed.

@@ -84,7 +84,8 @@ fn every_sample_is_recorded_once_in_order_and_twice_the_same() {
     for (out, buffer) in [("a.mcap", ""), ("b.mcap", "buffer = 3\n")] {
         // The second run has tiny buffers: another interleaving, the same result.
         let text = std::fs::read_to_string(workspace().join("launch/replay.toml")).expect("graph");
-        let graph = bench.write("g.toml", &text.replace("mode = \"replay\"\n", &format!("mode = \"replay\"\n{buffer}")));
+        let graph =
+            bench.write("g.toml", &text.replace("mode = \"replay\"\n", &format!("mode = \"replay\"\n{buffer}")));
         let done = replay_with(&bench, &graph, &[&format!("out={out}")]);
         let report = report(&done);
         assert_eq!(done.status.code(), Some(0));
@@ -127,7 +128,8 @@ fn independent_readers_see_what_was_recorded() {
     let topics = theirs["topics"].as_object().expect("topics");
     assert_eq!(topics.len(), ours.len());
     for (topic, list) in &ours {
-        let times: Vec<u64> = topics[topic]["log_time"].as_array().expect("times").iter().filter_map(|t| t.as_u64()).collect();
+        let times: Vec<u64> =
+            topics[topic]["log_time"].as_array().expect("times").iter().filter_map(|t| t.as_u64()).collect();
         assert_eq!(times, list.iter().map(|m| m.0).collect::<Vec<_>>(), "{topic}");
     }
     // Values, through their decoder: measured torque against the CSV the recording came from.
@@ -135,8 +137,12 @@ fn independent_readers_see_what_was_recorded() {
     let measured = topics["/measured"]["fields"]["effort"].as_array().expect("effort");
     for (row, effort) in csv.lines().skip(1).zip(measured) {
         let expected: Vec<f64> = row.split(',').skip(4).take(3).map(|v| v.parse().expect("number")).collect();
-        let found: Vec<f64> =
-            effort.as_array().expect("list").iter().map(|v| v.as_str().expect("text").parse().expect("number")).collect();
+        let found: Vec<f64> = effort
+            .as_array()
+            .expect("list")
+            .iter()
+            .map(|v| v.as_str().expect("text").parse().expect("number"))
+            .collect();
         assert_eq!(expected, found);
     }
     let names: Vec<&str> = theirs["attachments"].as_object().expect("attachments").keys().map(String::as_str).collect();
@@ -210,7 +216,12 @@ fn bad_files_exit_2_with_one_line_before_anything_starts() {
     let cases = [
         ("unknown key in robot", "robot.toml", robot("l2 = ", "l3 = "), "robot.toml:7"),
         ("robot of other joints", "robot.toml", serial.to_owned(), "q4"),
-        ("wrong joint names", "robot.toml", robot("[geometry]", "joints = [\"x\", \"y\", \"z\"]\nlimits = { typo = 1 }\n[geometry]"), "typo"),
+        (
+            "wrong joint names",
+            "robot.toml",
+            robot("[geometry]", "joints = [\"x\", \"y\", \"z\"]\nlimits = { typo = 1 }\n[geometry]"),
+            "typo",
+        ),
         ("unknown key in model", "model.toml", MODEL.replace("f_v", "fv"), "model.toml:7"),
         ("model of another robot", "model.toml", MODEL.replace("D3-1200", "D4"), "D4"),
         ("too few friction values", "model.toml", MODEL.replace("[1.5, 1.5, 1.5]", "[1.5]"), "f_c"),
@@ -224,7 +235,11 @@ fn bad_files_exit_2_with_one_line_before_anything_starts() {
         assert!(line.contains(expected), "{what}: expected '{expected}' in: {line}");
         assert!(!bench.path().join("run.mcap").exists(), "{what}: a recording was begun");
     }
-    for (set, expected) in [("recording=absent.csv", "absent.csv"), ("robot=absent.toml", "absent.toml"), ("model=absent.toml", "absent.toml")] {
+    for (set, expected) in [
+        ("recording=absent.csv", "absent.csv"),
+        ("robot=absent.toml", "absent.toml"),
+        ("model=absent.toml", "absent.toml"),
+    ] {
         let bench = folder(0.5);
         let done = replay(&bench, &[set]);
         assert_eq!(done.status.code(), Some(2));

@@ -72,7 +72,10 @@ pub fn bench(args: &BenchArgs) -> CommandResult {
             bar.finish_and_clear();
             print(args.json, &rows, |r| {
                 let [low, high] = r.ratio_range;
-                format!("{:<36} {:>9.0} samples/s   {:.2} of bare ({low:.2} to {high:.2})", r.what, r.rate_per_s, r.ratio_to_bare)
+                format!(
+                    "{:<36} {:>9.0} samples/s   {:.2} of bare ({low:.2} to {high:.2})",
+                    r.what, r.rate_per_s, r.ratio_to_bare
+                )
             })
         }
         What::Latency { rates, seconds } => {
@@ -92,7 +95,12 @@ pub fn bench(args: &BenchArgs) -> CommandResult {
         What::Memory { samples } => {
             let rows = memory::run(&args.launch, 60_000, *samples, &mut progress).map_err(fail)?;
             bar.finish_and_clear();
-            print(args.json, &rows, |r| format!("{:<10} {:>7.1} MiB after 60000 samples, {:>7.1} MiB after {samples}", r.node, r.short_mib, r.long_mib))
+            print(args.json, &rows, |r| {
+                format!(
+                    "{:<10} {:>7.1} MiB after 60000 samples, {:>7.1} MiB after {samples}",
+                    r.node, r.short_mib, r.long_mib
+                )
+            })
         }
     }
 }

@@ -73,7 +73,9 @@ pub fn demo(args: &DemoArgs) -> CommandResult {
         println!("\nPicture: {}", path.display());
     }
     println!("\nRecordings: {} and {}", files.mcap("v_f.mcap").display(), files.mcap("v_p.mcap").display());
-    println!("Open them in Foxglove or Lichtblick (open local file), in PlotJuggler (drag and drop), or with `rerun FILE`;");
+    println!(
+        "Open them in Foxglove or Lichtblick (open local file), in PlotJuggler (drag and drop), or with `rerun FILE`;"
+    );
     println!("plot /measured, /torque/nominal, /torque/rigid, /friction, /residual by joint name, and /payload.");
     Ok(ExitCode::SUCCESS)
 }
@@ -102,13 +104,15 @@ impl Files {
         };
         std::fs::write(&files.robot, DEMO_ROBOT).map_err(|e| cannot_write(&files.robot, &e))?;
         let test = demo.test_motion().ok_or_else(|| Failure::run("the simulation gave no motion"))?;
-        let carried = demo.pick_place.recordings.first().ok_or_else(|| Failure::run("the simulation gave no pick-and-place"))?;
+        let carried =
+            demo.pick_place.recordings.first().ok_or_else(|| Failure::run("the simulation gave no pick-and-place"))?;
         let mut start = carried.clone();
         let keep = carried.t_s.iter().take_while(|t| **t < carried.t_s[0] + LIVE_S).count();
         start.t_s.truncate(keep);
         start.q_rad.iter_mut().chain(&mut start.tau_nm).chain(start.extra.values_mut()).for_each(|c| c.truncate(keep));
         let all = files.training.iter().zip(demo.training_motions());
-        for (path, recording) in all.chain([(&files.test, test), (&files.pick_place, carried), (&files.short, &start)]) {
+        for (path, recording) in all.chain([(&files.test, test), (&files.pick_place, carried), (&files.short, &start)])
+        {
             let file = std::fs::File::create(path).map_err(|e| cannot_write(path, &e))?;
             write_csv(recording, &mut std::io::BufWriter::new(file)).map_err(|e| cannot_write(path, &e))?;
         }
@@ -137,7 +141,14 @@ fn identify(files: &Files, method: Method, bar: &ProgressBar) -> Result<Outcome,
 }
 
 /// Runs a graph with this very executable and returns its report.
-fn up(args: &DemoArgs, files: &Files, graph: &str, recording: &Path, out: &Path, rate: f64) -> Result<serde_json::Value, Failure> {
+fn up(
+    args: &DemoArgs,
+    files: &Files,
+    graph: &str,
+    recording: &Path,
+    out: &Path,
+    rate: f64,
+) -> Result<serde_json::Value, Failure> {
     let own = std::env::current_exe().map_err(|e| Failure::run(format!("own executable: {e}")))?;
     let mut command = Command::new(own);
     command.arg("up").arg(args.launch.join(graph)).arg("--json");
@@ -182,7 +193,11 @@ fn streams<'a, const N: usize>(recorded: &'a Recorded, topics: [&str; N]) -> Res
     for topic in topics {
         let series = recorded.effort(topic)?;
         if series.values.len() != recorded.velocity.values.len() {
-            return Err(Failure::run(format!("{topic} has {} samples, /smoothed has {}", series.values.len(), recorded.velocity.values.len())));
+            return Err(Failure::run(format!(
+                "{topic} has {} samples, /smoothed has {}",
+                series.values.len(),
+                recorded.velocity.values.len()
+            )));
         }
         found.push(series);
     }
@@ -199,7 +214,8 @@ fn print_row(name: &str, columns: &[Vec<(f64, f64)>], joint: usize) {
 }
 
 fn print_table_1(free: &Recorded, paper: &Outcome, ours: &Outcome) -> Result<(), Failure> {
-    let [measured, nominal, rigid, friction] = streams(free, ["/measured", "/torque/nominal", "/torque/rigid", "/friction"])?;
+    let [measured, nominal, rigid, friction] =
+        streams(free, ["/measured", "/torque/nominal", "/torque/rigid", "/friction"])?;
     let columns = [
         moments(free, |k, j| measured.values[k][j] - nominal.values[k][j]),
         moments(free, |k, j| measured.values[k][j] - rigid.values[k][j]),
@@ -214,15 +230,23 @@ fn print_table_1(free: &Recorded, paper: &Outcome, ours: &Outcome) -> Result<(),
     if let Some(p) = &paper.identification.paper {
         println!("  ρ1 = {:.3}, ρ2 = {:.3}; f_v = {:.2?} Nm s/rad; f_c = {:.2?} Nm", p.rho1, p.rho2, p.f_v, p.f_c);
     }
-    let sd = |o: &Outcome| o.identification.held_out.score.std_nm.iter().map(|v| format!("{v:.2}")).collect::<Vec<_>>().join(", ");
-    println!("  Offline on the same motion, σ per joint: paper's method {} Nm; all base parameters fitted together {} Nm.", sd(paper), sd(ours));
+    let sd = |o: &Outcome| {
+        o.identification.held_out.score.std_nm.iter().map(|v| format!("{v:.2}")).collect::<Vec<_>>().join(", ")
+    };
+    println!(
+        "  Offline on the same motion, σ per joint: paper's method {} Nm; all base parameters fitted together {} Nm.",
+        sd(paper),
+        sd(ours)
+    );
     Ok(())
 }
 
 fn print_table_2(carried: &Recorded) -> Result<(), Failure> {
     let [without, with] = streams(carried, ["/residual", "/residual_payload"])?;
     let columns = [moments(carried, |k, j| without.values[k][j]), moments(carried, |k, j| with.values[k][j])];
-    println!("\nTable 2. Torque error of M_Id+F over v_P, pick-and-place with {DEMO_PAYLOAD_KG} kg (Nm, moving samples)");
+    println!(
+        "\nTable 2. Torque error of M_Id+F over v_P, pick-and-place with {DEMO_PAYLOAD_KG} kg (Nm, moving samples)"
+    );
     println!("  {:<6}  {:^17}  {:^17}", "", "m_p = 0", "m_p = m̂_p");
     println!("  {:<6}  {:>8} {:>8}  {:>8} {:>8}", "", "μ", "σ", "μ", "σ");
     for j in 0..columns[0].len() {
@@ -247,7 +271,10 @@ fn settling(payload: &Series, from: f64, until: f64, mass: f64, tolerance: f64) 
 }
 
 fn print_payload(carried: &Recorded, events: &[EventTruth]) {
-    println!("\nPayload m̂_p (settled: within {:.0} % of the true mass, or of zero, until the next event)", SETTLED * 100.0);
+    println!(
+        "\nPayload m̂_p (settled: within {:.0} % of the true mass, or of zero, until the next event)",
+        SETTLED * 100.0
+    );
     let end = carried.payload.t_s.last().copied().unwrap_or(0.0);
     for (i, event) in events.iter().enumerate() {
         let next = events.get(i + 1).map_or(end, |e| e.t_on);
@@ -269,10 +296,17 @@ fn print_payload(carried: &Recorded, events: &[EventTruth]) {
 
 fn print_run(replay: &serde_json::Value, live: &serde_json::Value) {
     let rate = replay["samples"].as_f64().unwrap_or(0.0) / replay["seconds"].as_f64().unwrap_or(f64::NAN);
-    println!("\nGraph: 6 processes, replay of v_P at {:.0} samples/s including start and end, {} lost", rate, replay["lost"]);
-    println!("Live at 1 kHz, latency per hop (µs)           p50       p99     p99.9       max    {} lost", live["lost"]);
+    println!(
+        "\nGraph: 6 processes, replay of v_P at {:.0} samples/s including start and end, {} lost",
+        rate, replay["lost"]
+    );
+    println!(
+        "Live at 1 kHz, latency per hop (µs)           p50       p99     p99.9       max    {} lost",
+        live["lost"]
+    );
     let names = ["source", "smoother", "torque", "friction", "payload", "recorder"];
-    let hops: Vec<HopLatency> = serde_json::from_value(live["nodes"]["recorder"]["latency"].clone()).unwrap_or_default();
+    let hops: Vec<HopLatency> =
+        serde_json::from_value(live["nodes"]["recorder"]["latency"].clone()).unwrap_or_default();
     for hop in hops {
         let label = named_hop(&hop.hop, &names);
         println!("  {label:<38} {:>9.1} {:>9.1} {:>9.1} {:>9.1}", hop.p50_us, hop.p99_us, hop.p999_us, hop.max_us);
@@ -280,7 +314,9 @@ fn print_run(replay: &serde_json::Value, live: &serde_json::Value) {
 }
 
 fn named_hop(hop: &str, names: &[&str]) -> String {
-    let node = |text: &str| if text == "here" { names.last().copied() } else { names.get(text.parse::<usize>().ok()?).copied() };
+    let node = |text: &str| {
+        if text == "here" { names.last().copied() } else { names.get(text.parse::<usize>().ok()?).copied() }
+    };
     let (pair, rest) = hop.split_once(' ').map_or((hop, String::new()), |(a, b)| (a, format!(" {b}")));
     match pair.split_once('→').map(|(a, b)| (node(a), node(b))) {
         Some((Some(a), Some(b))) => format!("{a} → {b}{rest}"),
@@ -289,7 +325,8 @@ fn named_hop(hop: &str, names: &[&str]) -> String {
 }
 
 fn draw(free: &Recorded, path: &Path) -> Result<(), Failure> {
-    let [measured, nominal, rigid, friction] = streams(free, ["/measured", "/torque/nominal", "/torque/rigid", "/friction"])?;
+    let [measured, nominal, rigid, friction] =
+        streams(free, ["/measured", "/torque/nominal", "/torque/rigid", "/friction"])?;
     let column = |s: &Series, j: usize| s.values.iter().map(|v| v[j]).collect::<Vec<f64>>();
     let joints = (0..measured.values.first().map_or(0, Vec::len))
         .map(|j| {
@@ -298,7 +335,11 @@ fn draw(free: &Recorded, path: &Path) -> Result<(), Failure> {
             JointTrace {
                 joint: format!("τ{}", j + 1),
                 measured: column(measured, j),
-                models: vec![series("M_KH", column(nominal, j)), series("M_Id", column(rigid, j)), series("M_Id+F", full)],
+                models: vec![
+                    series("M_KH", column(nominal, j)),
+                    series("M_Id", column(rigid, j)),
+                    series("M_Id+F", full),
+                ],
                 ..JointTrace::default()
             }
         })

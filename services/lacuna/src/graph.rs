@@ -50,7 +50,11 @@ fn load(args: &UpArgs) -> Result<GraphFile, Failure> {
 fn locate(exec: &str) -> Result<PathBuf, Failure> {
     let path = Path::new(exec);
     if exec.contains('/') {
-        return if path.is_file() { Ok(path.to_path_buf()) } else { Err(Failure::usage(format!("{exec}: no such executable"))) };
+        return if path.is_file() {
+            Ok(path.to_path_buf())
+        } else {
+            Err(Failure::usage(format!("{exec}: no such executable")))
+        };
     }
     let beside = std::env::current_exe().ok().and_then(|p| Some(p.parent()?.join(exec)));
     let on_path = std::env::var_os("PATH")
@@ -95,14 +99,21 @@ fn print_plan(graph: &GraphFile, executables: &[PathBuf]) {
     let _ = writeln!(out, "model {}", if graph.model.is_empty() { "none" } else { &graph.model });
     for (node, exec) in graph.nodes.iter().zip(executables) {
         let inputs = if node.inputs.is_empty() { "-".to_owned() } else { node.inputs.join(" + ") };
-        let _ = writeln!(out, "  {:<12} {inputs} → {}   {}", node.name, node.output.as_deref().unwrap_or("-"), exec.display());
+        let _ = writeln!(
+            out,
+            "  {:<12} {inputs} → {}   {}",
+            node.name,
+            node.output.as_deref().unwrap_or("-"),
+            exec.display()
+        );
     }
 }
 
 fn print_summary(graph: &GraphFile, report: &RunReport) {
     let mut out = std::io::stdout().lock();
     let rate = report.samples as f64 / report.seconds.max(1e-9);
-    let _ = writeln!(out, "{}: {} samples in {:.2} s ({:.0} samples/s)", graph.name, report.samples, report.seconds, rate);
+    let _ =
+        writeln!(out, "{}: {} samples in {:.2} s ({:.0} samples/s)", graph.name, report.samples, report.seconds, rate);
     for (name, node) in &report.nodes {
         for l in &node.latency {
             let _ = writeln!(

@@ -113,7 +113,9 @@ pub fn root() -> Result<PathBuf, Failure> {
     // Somebody else could have made it first, in a folder that everybody can write.
     let meta = std::fs::symlink_metadata(&dir).map_err(|e| fail(&e))?;
     if !meta.is_dir() || meta.uid() != uid || meta.mode() & 0o077 != 0 {
-        return Err(fail(&"is not a directory that this user alone can read; expected mode 0700 and this user as owner"));
+        return Err(fail(
+            &"is not a directory that this user alone can read; expected mode 0700 and this user as owner",
+        ));
     }
     Ok(dir)
 }
@@ -192,7 +194,11 @@ fn find(args: &RunArgs) -> Result<(PathBuf, RunStatus), Failure> {
     let runs = list(&root()?);
     let wanted = args.run.as_deref().unwrap_or("");
     runs.into_iter().rfind(|(_, s)| s.run.contains(wanted)).ok_or_else(|| {
-        Failure::usage(if wanted.is_empty() { "no run found".to_owned() } else { format!("no run with '{wanted}' in its name") })
+        Failure::usage(if wanted.is_empty() {
+            "no run found".to_owned()
+        } else {
+            format!("no run with '{wanted}' in its name")
+        })
     })
 }
 
@@ -202,12 +208,16 @@ pub fn down(args: &RunArgs) -> CommandResult {
     if !matches!(status.state, State::Starting | State::Running) {
         return Err(Failure::usage(format!("{}: is not running ({})", status.run, status.state.word())));
     }
-    let pid = Pid::from_raw(status.pid as i32).ok_or_else(|| Failure::run(format!("{}: has no process id", status.run)))?;
-    kill_process(pid, Signal::TERM).map_err(|e| Failure::run(format!("{}: cannot signal its supervisor: {e}", status.run)))?;
+    let pid =
+        Pid::from_raw(status.pid as i32).ok_or_else(|| Failure::run(format!("{}: has no process id", status.run)))?;
+    kill_process(pid, Signal::TERM)
+        .map_err(|e| Failure::run(format!("{}: cannot signal its supervisor: {e}", status.run)))?;
     let started = Instant::now();
     while started.elapsed() < STOP_TIMEOUT {
         match RunStatus::read(&dir) {
-            Some(s) if matches!(s.state, State::Starting | State::Running) => std::thread::sleep(Duration::from_millis(20)),
+            Some(s) if matches!(s.state, State::Starting | State::Running) => {
+                std::thread::sleep(Duration::from_millis(20))
+            }
             _ => {
                 println!("{}: stopped", status.run);
                 return Ok(ExitCode::SUCCESS);
@@ -235,7 +245,13 @@ pub fn status(args: &StatusArgs) -> CommandResult {
     }
     for run in &runs {
         let age = now_s().saturating_sub(run.started_s);
-        let _ = writeln!(out, "{}  {}  started {age} s ago  {}", run.run, run.state.word(), run.reason.as_deref().unwrap_or(""));
+        let _ = writeln!(
+            out,
+            "{}  {}  started {age} s ago  {}",
+            run.run,
+            run.state.word(),
+            run.reason.as_deref().unwrap_or("")
+        );
         if args.run.run.is_some() || matches!(run.state, State::Starting | State::Running) {
             for n in &run.nodes {
                 let _ = writeln!(

@@ -151,7 +151,13 @@ impl<'a> Supervisor<'a> {
             // A group of its own: Ctrl-C reaches the supervisor alone, which stops the graph in order.
             .process_group(0)
             .spawn()
-            .map_err(|e| Failure::usage(format!("node \"{}\": cannot start {}: {e}", node.name, self.executables[index].display())))?;
+            .map_err(|e| {
+                Failure::usage(format!(
+                    "node \"{}\": cannot start {}: {e}",
+                    node.name,
+                    self.executables[index].display()
+                ))
+            })?;
         state.stdin = child.stdin.take();
         state.started = Instant::now();
         state.ready = false;
@@ -203,9 +209,19 @@ impl<'a> Supervisor<'a> {
                 return Err(Failure::Stopped);
             }
             if begun.elapsed() > READY_TIMEOUT {
-                let waiting: Vec<&str> =
-                    self.graph.nodes.iter().zip(&self.nodes).filter(|(_, s)| !s.ready).map(|(n, _)| n.name.as_str()).collect();
-                return Err(Failure::run(format!("not ready after {} s: {}", READY_TIMEOUT.as_secs(), waiting.join(", "))));
+                let waiting: Vec<&str> = self
+                    .graph
+                    .nodes
+                    .iter()
+                    .zip(&self.nodes)
+                    .filter(|(_, s)| !s.ready)
+                    .map(|(n, _)| n.name.as_str())
+                    .collect();
+                return Err(Failure::run(format!(
+                    "not ready after {} s: {}",
+                    READY_TIMEOUT.as_secs(),
+                    waiting.join(", ")
+                )));
             }
         }
         let go = Instant::now();
@@ -221,7 +237,10 @@ impl<'a> Supervisor<'a> {
                 self.stop_sources();
             }
             if stopping.is_some_and(|s| s.elapsed() > DRAIN_TIMEOUT) {
-                return Err(Failure::run(format!("the graph did not drain within {} s of the stop request", DRAIN_TIMEOUT.as_secs())));
+                return Err(Failure::run(format!(
+                    "the graph did not drain within {} s of the stop request",
+                    DRAIN_TIMEOUT.as_secs()
+                )));
             }
         }
         let seconds = go.elapsed().as_secs_f64();
@@ -312,7 +331,9 @@ impl<'a> Supervisor<'a> {
         node.stdin = None;
         let fine = status.success() && node.report.is_some();
         let over = self.interrupted.load(Ordering::Relaxed);
-        let again = !over && self.graph.mode == Mode::Live && (policy == Restart::Always || (policy == Restart::OnFailure && !fine));
+        let again = !over
+            && self.graph.mode == Mode::Live
+            && (policy == Restart::Always || (policy == Restart::OnFailure && !fine));
         let bad_use = matches!(node.failure, Some(Failure::Usage(_)));
         if again && !bad_use {
             // Quick at first; a node that keeps dying is retried more and more slowly.
@@ -365,7 +386,9 @@ impl<'a> Supervisor<'a> {
         let named = self.graph.nodes.iter().zip(&self.nodes).filter_map(|(n, s)| Some((n, s.failure.as_ref()?)));
         match named.rev().min_by_key(|(_, f)| rank(f)) {
             Some((_, f @ Failure::Usage(_))) => f.clone(),
-            Some((node, f)) => Failure::run(format!("node \"{}\" {}{f}", node.name, if rank(f) == 1 { "" } else { "failed: " })),
+            Some((node, f)) => {
+                Failure::run(format!("node \"{}\" {}{f}", node.name, if rank(f) == 1 { "" } else { "failed: " }))
+            }
             None => Failure::run("a node failed without saying why"),
         }
     }
@@ -406,7 +429,10 @@ impl<'a> Supervisor<'a> {
     fn report(&self, seconds: f64, stopped: bool) -> Result<RunReport, Failure> {
         let mut nodes = BTreeMap::new();
         for (node, state) in self.graph.nodes.iter().zip(&self.nodes) {
-            let report = state.report.clone().ok_or_else(|| Failure::run(format!("node \"{}\" ended without a report", node.name)))?;
+            let report = state
+                .report
+                .clone()
+                .ok_or_else(|| Failure::run(format!("node \"{}\" ended without a report", node.name)))?;
             nodes.insert(node.name.clone(), report);
         }
         let samples = self
@@ -425,7 +451,12 @@ impl<'a> Supervisor<'a> {
         if restarts == 0 {
             for node in &self.graph.nodes {
                 for topic in &node.inputs {
-                    let written = self.graph.nodes.iter().find(|w| w.output.as_ref() == Some(topic)).and_then(|w| nodes.get(&w.name));
+                    let written = self
+                        .graph
+                        .nodes
+                        .iter()
+                        .find(|w| w.output.as_ref() == Some(topic))
+                        .and_then(|w| nodes.get(&w.name));
                     let got = nodes.get(&node.name).and_then(|r| r.received.get(topic)).copied().unwrap_or(0);
                     lost = lost.max(written.map_or(0, |w| w.published.saturating_sub(got)));
                 }

@@ -6,7 +6,7 @@
 //! row by row     K = P φ_i/(r_i + φ_i² P),  m̂ ← m̂ + K (ΔT_i − φ_i m̂),  P ← (1 − K φ_i) P
 //! ```
 //!
-//! (PHYSICS, corrected set: a scalar in torque space instead of the paper's eq. 9-11, which divide by k_ii and
+//! (NOTATION.md: a scalar in torque space instead of the paper's eq. 9-11, which divide by k_ii and
 //! wind up; with r_i = 1 and σ taken into the first row it is the form printed there.)
 //!
 //! | symbol | meaning | unit |

@@ -154,7 +154,7 @@ pub trait RigidBody: std::fmt::Debug + Send + Sync {
     /// As [`RigidBody::torque`].
     fn regressor(&self, motion: &Motion<'_>, y: &mut [f64]) -> Result<(), Unreachable>;
 
-    /// ∂τ/∂m_p [Nm/kg], n entries: Jᵀγ with γ = ẍ − g at the platform or tip (PHYSICS.md, payload).
+    /// ∂τ/∂m_p [Nm/kg], n entries: Jᵀγ with γ = ẍ − g at the platform or tip (NOTATION.md, payload).
     ///
     /// # Errors
     /// As [`RigidBody::torque`].

@@ -43,7 +43,11 @@ fn attachments(context: &SinkContext<'_>) -> Result<Vec<Attachment>, BadInput> {
         ("graph.toml", "application/toml", Some(&graph)),
     ];
     let attach = |(name, media_type, text): (&str, &str, Option<&str>)| {
-        text.map(|text| Attachment { name: name.to_owned(), media_type: media_type.to_owned(), data: text.as_bytes().to_vec() })
+        text.map(|text| Attachment {
+            name: name.to_owned(),
+            media_type: media_type.to_owned(),
+            data: text.as_bytes().to_vec(),
+        })
     };
     Ok(files.into_iter().filter_map(attach).collect())
 }
@@ -56,10 +60,13 @@ impl Sink for Process {
         config.check(live).map_err(|e| BadInput::new(e.to_string()))?;
         let mut streams = Vec::new();
         for (topic, message) in context.topics {
-            let stream = Stream::of_message(message)
-                .ok_or_else(|| BadInput::new(format!("topic \"{topic}\": {message} is not a message the recorder knows")))?;
+            let stream = Stream::of_message(message).ok_or_else(|| {
+                BadInput::new(format!("topic \"{topic}\": {message} is not a message the recorder knows"))
+            })?;
             if streams.contains(&stream) {
-                return Err(BadInput::new(format!("topic \"{topic}\": a second topic of {message}; expected one of each")));
+                return Err(BadInput::new(format!(
+                    "topic \"{topic}\": a second topic of {message}; expected one of each"
+                )));
             }
             streams.push(stream);
         }

@@ -84,7 +84,10 @@ fn open_topic<W: Wire>(domain: &Domain, graph: &GraphFile, topic: &str) -> Resul
             Ok(factory) => return Ok(factory),
             Err(e) => e,
         };
-        if let PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(PublishSubscribeOpenError::IncompatibleTypes) = error {
+        if let PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
+            PublishSubscribeOpenError::IncompatibleTypes,
+        ) = error
+        {
             let other = topic_type(topic).unwrap_or_else(|| "another message".to_owned());
             return Err(Failure::usage(format!(
                 "topic \"{topic}\": this stage speaks {}, the topic carries {other}; expected the same message and layout on both sides",
@@ -176,15 +179,15 @@ impl<W: Wire> Output<W> {
         let builder = factory.publisher_builder().max_loaned_samples(1);
         let builder = match graph.mode {
             Mode::Live => builder.backpressure_strategy(BackpressureStrategy::DiscardData),
-            Mode::Replay => builder.backpressure_strategy(BackpressureStrategy::RetryUntilDelivered).set_backpressure_handler(
-                move |info| {
+            Mode::Replay => builder
+                .backpressure_strategy(BackpressureStrategy::RetryUntilDelivered)
+                .set_backpressure_handler(move |info| {
                     if handler_stop.requested() || info.elapsed_time > STALL_TIMEOUT {
                         BackpressureAction::DiscardDataAndFail
                     } else {
                         BackpressureAction::Retry
                     }
-                },
-            ),
+                }),
         };
         let port = builder.create().map_err(|e| {
             Failure::run(format!("topic \"{topic}\": cannot write to it: {e:?} (is another writer running?)"))

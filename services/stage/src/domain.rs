@@ -27,7 +27,9 @@ impl RunDir {
     /// [`Failure`] if a file cannot be written.
     pub fn create(path: &StdPath, graph: &GraphFile) -> Result<Self, Failure> {
         let run = Self { path: path.to_path_buf() };
-        let io = |what: &str, e: &dyn std::fmt::Display| Failure::run(format!("{}: cannot write {what}: {e}", path.display()));
+        let io = |what: &str, e: &dyn std::fmt::Display| {
+            Failure::run(format!("{}: cannot write {what}: {e}", path.display()))
+        };
         let text = toml::to_string(graph).map_err(|e| io(GRAPH, &e))?;
         std::fs::write(run.path.join(GRAPH), text).map_err(|e| io(GRAPH, &e))?;
         let name = path.file_name().and_then(|n| n.to_str()).unwrap_or("run");
@@ -102,7 +104,8 @@ impl Domain {
     pub fn join(run: &RunDir, name: &str) -> Result<Self, Failure> {
         set_log_level(LogLevel::Error);
         let file = run.path.join(DOMAIN);
-        let fail = |e: &dyn std::fmt::Debug| Failure::run(format!("{}: cannot join the run's bus: {e:?}", file.display()));
+        let fail =
+            |e: &dyn std::fmt::Debug| Failure::run(format!("{}: cannot join the run's bus: {e:?}", file.display()));
         let path = FilePath::new(file.display().to_string().as_bytes()).map_err(|e| fail(&e))?;
         let config = Config::setup_global_config_from_file(&path).map_err(|e| fail(&e))?;
         if config.global.root_path().to_string() != run.shm_root().display().to_string() {

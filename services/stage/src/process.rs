@@ -134,7 +134,11 @@ impl Process {
     /// The node's configuration as the stage's own type.
     pub fn config<C: serde::de::DeserializeOwned>(&self) -> Result<C, Failure> {
         toml::Value::Table(self.node.config.clone()).try_into().map_err(|e: toml::de::Error| {
-            Failure::usage(format!("node \"{}\", config: {}", self.node.name, e.message().split_whitespace().collect::<Vec<_>>().join(" ")))
+            Failure::usage(format!(
+                "node \"{}\", config: {}",
+                self.node.name,
+                e.message().split_whitespace().collect::<Vec<_>>().join(" ")
+            ))
         })
     }
 
@@ -156,7 +160,9 @@ impl Process {
     pub fn single_input(&self) -> Result<&str, Failure> {
         match self.node.inputs.as_slice() {
             [topic] => Ok(topic),
-            other => Err(Failure::usage(format!("node \"{}\": found {} inputs; expected one", self.node.name, other.len()))),
+            other => {
+                Err(Failure::usage(format!("node \"{}\": found {} inputs; expected one", self.node.name, other.len())))
+            }
         }
     }
 

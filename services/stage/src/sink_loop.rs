@@ -8,7 +8,8 @@ use crate::latency::LatencyMeter;
 use crate::process::{Failure, Process, Pulse, main_with};
 use lacuna_interfaces::graph::{GraphFile, Mode};
 use lacuna_interfaces::{
-    BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, ModelFile, PayloadEstimate, RobotFile, TorqueModel, Wire,
+    BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, ModelFile, PayloadEstimate, RobotFile, TorqueModel,
+    Wire,
 };
 use serde::de::DeserializeOwned;
 use std::process::ExitCode;
@@ -172,7 +173,10 @@ fn open_inputs(domain: &Domain, process: &Process) -> Result<Vec<Option<AnyInput
                 return Err(Failure::Stopped);
             }
             if started.elapsed() > OPEN_TIMEOUT {
-                return Err(Failure::run(format!("topic \"{topic}\": nobody opened it within {} s", OPEN_TIMEOUT.as_secs())));
+                return Err(Failure::run(format!(
+                    "topic \"{topic}\": nobody opened it within {} s",
+                    OPEN_TIMEOUT.as_secs()
+                )));
             }
             std::thread::sleep(Duration::from_millis(2));
         };

@@ -37,7 +37,7 @@ impl Sink for Counter {
         entry.0 += 1;
         entry.1 = message.header().seq;
         self.total += 1;
-        if self.config.pause_every > 0 && self.total % self.config.pause_every == 0 {
+        if self.config.pause_every > 0 && self.total.is_multiple_of(self.config.pause_every) {
             std::thread::sleep(Duration::from_micros(self.config.pause_us));
         }
         Ok(())

@@ -34,6 +34,14 @@ pub(crate) struct Account<'a> {
 
 pub(crate) fn account(a: &Account<'_>) -> Result<Outcome, BadInput> {
     let (parameters, not_excited) = parameters(a);
+    let consistency = a.fitted.consistent.as_ref().zip(a.held.free).map(|(c, free)| {
+        let ratio = |constrained: f64| (constrained.max(0.0) / c.free).sqrt();
+        Consistency {
+            free_relative_error: free,
+            training_residual_ratio: ratio(c.constrained),
+            ratio_gap: ratio(c.constrained) - ratio(c.constrained - c.gap),
+        }
+    });
     let findings = Findings {
         robot: a.robot,
         structure: a.structure,
@@ -44,6 +52,7 @@ pub(crate) fn account(a: &Account<'_>) -> Result<Outcome, BadInput> {
         held_out: &a.held.score,
         with_standstill: a.held.with_standstill,
         delay: a.delay,
+        consistency,
     };
     let held_out = HeldOut {
         score: a.held.score.clone(),
@@ -82,10 +91,7 @@ pub(crate) fn account(a: &Account<'_>) -> Result<Outcome, BadInput> {
         delay: a.delay,
         bristle_rad: a.fitted.bristle_rad.clone(),
         conditioning: a.plan.clone(),
-        consistency: a.fitted.consistent.as_ref().zip(a.held.free).map(|(c, free)| Consistency {
-            free_relative_error: free,
-            training_residual_ratio: (c.constrained / c.free).sqrt(),
-        }),
+        consistency,
         paper: a.fitted.paper.as_ref().map(|(_, r)| PaperResult {
             table1: a.held.table1.clone(),
             table1_moving: a.held.table1_moving.clone(),
@@ -107,7 +113,12 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
     let mut rest: Vec<NotExcited> = s
         .silent
         .iter()
-        .map(|&c| NotExcited { symbol: symbol(c), reason: "no motion of this robot excites it".to_owned(), ci95: None })
+        .map(|&c| NotExcited {
+            symbol: symbol(c),
+            reason: "no motion of this robot excites it".to_owned(),
+            ci95: None,
+            in_model: false,
+        })
         .collect();
     for u in &a.fitted.solution.unexcited {
         let terms: Vec<String> = u
@@ -126,7 +137,7 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
             }
             Why::Negative(v) => format!("fitted, this friction is negative ({v:.3e}){near}"),
         };
-        rest.push(NotExcited { symbol: symbol(s.base[u.base].column), reason, ci95: None });
+        rest.push(NotExcited { symbol: symbol(s.base[u.base].column), reason, ci95: None, in_model: false });
     }
     for &b in &a.fitted.solution.excited {
         let base = &s.base[b];
@@ -147,6 +158,7 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
                     a.robot.torque_unit.symbol()
                 ),
                 ci95: Some(ci95),
+                in_model: true,
             });
             continue;
         }

@@ -8,7 +8,7 @@
 //!
 //! A = XᵀWX and c = XᵀWy are those of the free fit. The problem is convex in π; it is solved by Newton's method along a
 //! decreasing μ (Boyd, Vandenberghe 2004, section 11.3). What the data do not determine settles near P0, the robot
-//! file's link, or where it has none a link of 1 kg and 0.1 m. As μ → 0 the determined part converges to the
+//! file's link, or where it has none a link of guessed mass. As μ → 0 the determined part converges to the
 //! constrained least-squares fit, within μ times the number of constraint dimensions.
 //!
 //! A general cone solver would bring BLAS and LAPACK along for 4 × 4 matrices (that is what clarabel's semidefinite
@@ -21,8 +21,11 @@ use lacuna_interfaces::BadInput;
 use lacuna_physics::RigidBody;
 use nalgebra::{DMatrix, DVector};
 
-/// μ at the end. In units of the weighted squared residual, whose minimum is about the number of rows.
-const MU_END: f64 = 1e-3;
+/// μ at the end. In units of the weighted squared residual, whose minimum is about the number of rows: the fit is then
+/// within 0.1 per constraint dimension of the best one, thousands of rows against a few.
+const MU_END: f64 = 0.1;
+/// Weight with which a column that the free fit left out is held at its value, in units of its own curvature.
+const HOLD: f64 = 100.0;
 /// Factor by which μ falls from step to step.
 const MU_STEP: f64 = 0.1;
 /// Newton steps per μ.
@@ -56,6 +59,8 @@ pub struct Consistent {
     pub free: f64,
     /// And of this one.
     pub constrained: f64,
+    /// The best constrained fit's is at most this much lower.
+    pub gap: f64,
 }
 
 /// Fits with every link physically possible.
@@ -64,84 +69,175 @@ pub struct Consistent {
 /// [`BadInput`] if the iteration does not settle.
 pub fn fit(body: &dyn RigidBody, structure: &Structure, solution: &Solution) -> Result<Consistent, BadInput> {
     let total = &solution.normal;
-    let (a, c) = (total.xtx(), total.xty());
-    let variables = structure.columns.len();
-    let mut k = DMatrix::zeros(structure.base.len(), variables);
-    for (b, base) in structure.base.iter().enumerate() {
-        k[(b, base.column)] = 1.0;
-        for &(column, factor) in &base.merged {
-            k[(b, column)] = factor;
-        }
+    let coordinates = Coordinates::of(structure);
+    let (mut a, mut c) = (total.xtx(), total.xty());
+    for u in &solution.unexcited {
+        let hold = HOLD * a[(u.base, u.base)];
+        a[(u.base, u.base)] += hold;
+        c[u.base] += hold * solution.beta[u.base];
     }
-    // In π: ½ πᵀ H π − gᵀ π.
-    let h = k.transpose() * &a * &k;
-    let g = k.transpose() * &c;
-    let cones = cones(body, structure);
-    let mut x = DVector::zeros(variables);
-    for cone in &cones {
-        cone.start.iter().for_each(|&(v, value)| x[v] = value);
+    let problem = Problem { a, c, cones: cones(body, structure, solution), coordinates };
+    let mut pi = DVector::zeros(structure.columns.len());
+    for cone in &problem.cones {
+        cone.start.iter().for_each(|&(v, value)| pi[v] = value);
     }
-    let mut mu = (0.5 * x.dot(&(&h * &x)) - g.dot(&x)).abs().max(1.0);
+    let mut z = problem.coordinates.reduce(&pi);
+    let beta = z.rows(0, structure.base.len()).into_owned();
+    let mut mu = problem.misfit(&beta).abs().max(1.0);
+    let mut reached = None;
     loop {
-        newton(&h, &g, &cones, mu, &mut x)?;
+        let before = z.clone();
+        match problem.newton(mu, &mut z) {
+            Ok(()) => reached = Some(mu),
+            // A link driven onto the cone's border takes the last digits; what was reached before is a fit all the same.
+            Err(_) if reached.is_some() => {
+                z = before;
+                break;
+            }
+            Err(e) => return Err(e),
+        }
         if mu <= MU_END {
             break;
         }
         mu = (mu * MU_STEP).max(MU_END);
     }
-    let beta = &k * &x;
-    let misfit = |beta: &DVector<f64>| total.residual_sum(beta);
+    let dimensions: usize = problem.cones.iter().map(|cone| cone.size).sum();
+    let beta = z.rows(0, structure.base.len()).into_owned();
     Ok(Consistent {
-        free: misfit(&solution.beta),
-        constrained: misfit(&beta),
+        free: total.residual_sum(&solution.beta),
+        gap: 2.0 * reached.unwrap_or(mu) * dimensions as f64,
+        constrained: total.residual_sum(&beta),
         beta,
-        values: x.iter().copied().collect(),
+        values: problem.coordinates.expand(&z).iter().copied().collect(),
     })
 }
 
-/// Minimises the objective at one μ, from a feasible start.
-fn newton(h: &DMatrix<f64>, g: &DVector<f64>, cones: &[Cone], mu: f64, x: &mut DVector<f64>) -> Result<(), BadInput> {
-    for _ in 0..NEWTON_STEPS {
-        let mut gradient = h * &*x - g;
-        let mut hessian = h.clone();
-        for cone in cones {
-            let p = cone.at(x);
-            let inverse = p.try_inverse().ok_or_else(|| failed("a pseudo-inertia became singular"))?;
-            let products: Vec<DMatrix<f64>> = cone.parts.iter().map(|(_, m)| &inverse * m).collect();
-            for (i, (v, m)) in cone.parts.iter().enumerate() {
-                gradient[*v] += mu * (cone.prior_inverse.component_mul(m).sum() - products[i].trace());
-                for (j, (w, _)) in cone.parts.iter().enumerate() {
-                    // ∂²(−log det P) = tr(P⁻¹ M_i P⁻¹ M_j)
-                    hessian[(*v, *w)] += mu * products[i].component_mul(&products[j].transpose()).sum();
+/// π = T z, with z the base parameters β followed by every other parameter: in z the data touch β alone, exactly, and no
+/// digit of the rest is lost to it.
+struct Coordinates {
+    t: DMatrix<f64>,
+    /// Column of every z behind the base.
+    others: Vec<usize>,
+    base: Vec<(usize, Vec<(usize, f64)>)>,
+}
+
+impl Coordinates {
+    fn of(structure: &Structure) -> Self {
+        let base: Vec<(usize, Vec<(usize, f64)>)> =
+            structure.base.iter().map(|b| (b.column, b.merged.clone())).collect();
+        let others: Vec<usize> = (0..structure.columns.len()).filter(|c| !base.iter().any(|(b, _)| b == c)).collect();
+        let mut t = DMatrix::zeros(structure.columns.len(), structure.columns.len());
+        for (i, &c) in others.iter().enumerate() {
+            t[(c, base.len() + i)] = 1.0;
+        }
+        for (b, (column, merged)) in base.iter().enumerate() {
+            t[(*column, b)] = 1.0;
+            for (c, factor) in merged {
+                if let Some(i) = others.iter().position(|o| o == c) {
+                    t[(*column, base.len() + i)] = -factor;
                 }
             }
         }
-        let step = scaled_solve(&hessian, &gradient).ok_or_else(|| failed("the Newton system is singular"))?;
-        let decrement = gradient.dot(&step);
-        if decrement.is_nan() {
-            return Err(failed("the objective is not finite"));
-        }
-        if decrement <= 1e-9 * mu {
-            return Ok(());
-        }
-        let now = objective(h, g, cones, mu, x).ok_or_else(|| failed("the start is not feasible"))?;
-        let mut length = 1.0;
-        let mut moved = false;
-        while length > 1e-12 {
-            let next = &*x - &step * length;
-            if objective(h, g, cones, mu, &next).is_some_and(|v| v <= now - 1e-4 * length * decrement) {
-                *x = next;
-                moved = true;
-                break;
-            }
-            length *= 0.5;
-        }
-        // At rounding there is nothing left to gain.
-        if !moved {
-            return Ok(());
-        }
+        Self { t, others, base }
     }
-    Ok(())
+
+    fn expand(&self, z: &DVector<f64>) -> DVector<f64> {
+        &self.t * z
+    }
+
+    fn reduce(&self, pi: &DVector<f64>) -> DVector<f64> {
+        let beta = self.base.iter().map(|(c, merged)| pi[*c] + merged.iter().map(|(d, k)| k * pi[*d]).sum::<f64>());
+        let rest = self.others.iter().map(|&c| pi[c]);
+        DVector::from_iterator(self.t.ncols(), beta.chain(rest))
+    }
+}
+
+struct Problem {
+    a: DMatrix<f64>,
+    c: DVector<f64>,
+    cones: Vec<Cone>,
+    coordinates: Coordinates,
+}
+
+impl Problem {
+    /// ½ βᵀAβ − cᵀβ.
+    fn misfit(&self, beta: &DVector<f64>) -> f64 {
+        0.5 * beta.dot(&(&self.a * beta)) - self.c.dot(beta)
+    }
+
+    /// The objective; `None` outside the cones.
+    fn objective(&self, mu: f64, z: &DVector<f64>) -> Option<f64> {
+        let pi = self.coordinates.expand(z);
+        let mut value = self.misfit(&z.rows(0, self.c.len()).into_owned());
+        for cone in &self.cones {
+            let p = cone.at(&pi);
+            let trace = cone.prior_inverse.component_mul(&p).sum();
+            let chol = p.cholesky()?;
+            let log_det = 2.0 * chol.l_dirty().diagonal().iter().map(|d| d.ln()).sum::<f64>();
+            value += mu * (trace - log_det);
+        }
+        value.is_finite().then_some(value)
+    }
+
+    /// Gradient and Hessian of the objective in z.
+    fn derivatives(&self, mu: f64, z: &DVector<f64>) -> Option<(DVector<f64>, DMatrix<f64>)> {
+        let pi = self.coordinates.expand(z);
+        let n = pi.len();
+        let (mut g, mut h) = (DVector::zeros(n), DMatrix::zeros(n, n));
+        for cone in &self.cones {
+            let inverse = cone.at(&pi).try_inverse()?;
+            let products: Vec<DMatrix<f64>> = cone.parts.iter().map(|(_, m)| &inverse * m).collect();
+            for (i, (v, m)) in cone.parts.iter().enumerate() {
+                g[*v] += mu * (cone.prior_inverse.component_mul(m).sum() - products[i].trace());
+                for (j, (w, _)) in cone.parts.iter().enumerate() {
+                    // ∂²(−log det P) = tr(P⁻¹ M_i P⁻¹ M_j)
+                    h[(*v, *w)] += mu * products[i].component_mul(&products[j].transpose()).sum();
+                }
+            }
+        }
+        let t = &self.coordinates.t;
+        let mut gradient = t.transpose() * g;
+        let mut hessian = t.transpose() * h * t;
+        let base = self.c.len();
+        let beta = z.rows(0, base).into_owned();
+        let slope = &self.a * &beta - &self.c;
+        gradient.rows_mut(0, base).iter_mut().zip(slope.iter()).for_each(|(g, s)| *g += s);
+        let mut corner = hessian.view_mut((0, 0), (base, base));
+        corner += &self.a;
+        Some((gradient, hessian))
+    }
+
+    /// Minimises the objective at one μ, from a feasible start.
+    fn newton(&self, mu: f64, z: &mut DVector<f64>) -> Result<(), BadInput> {
+        for _ in 0..NEWTON_STEPS {
+            let (gradient, hessian) =
+                self.derivatives(mu, z).ok_or_else(|| failed("a pseudo-inertia became singular"))?;
+            let step = scaled_solve(&hessian, &gradient).ok_or_else(|| failed("the Newton system is singular"))?;
+            let decrement = gradient.dot(&step);
+            if decrement.is_nan() {
+                return Err(failed("the objective is not finite"));
+            }
+            if decrement <= 1e-9 * mu {
+                return Ok(());
+            }
+            let now = self.objective(mu, z).ok_or_else(|| failed("the start is not feasible"))?;
+            let mut length = 1.0;
+            let mut moved = false;
+            while length > 1e-12 && !moved {
+                let next = &*z - &step * length;
+                if self.objective(mu, &next).is_some_and(|v| v <= now - 1e-4 * length * decrement) {
+                    *z = next;
+                    moved = true;
+                }
+                length *= 0.5;
+            }
+            // At rounding there is nothing left to gain.
+            if !moved {
+                return Ok(());
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Cholesky solution with the matrix scaled to a unit diagonal.
@@ -157,31 +253,24 @@ fn scaled_solve(matrix: &DMatrix<f64>, rhs: &DVector<f64>) -> Option<DVector<f64
     Some(solved.component_mul(&scale))
 }
 
-/// The objective; `None` outside the cones.
-fn objective(h: &DMatrix<f64>, g: &DVector<f64>, cones: &[Cone], mu: f64, x: &DVector<f64>) -> Option<f64> {
-    let mut value = 0.5 * x.dot(&(h * x)) - g.dot(x);
-    for cone in cones {
-        let p = cone.at(x);
-        let trace = cone.prior_inverse.component_mul(&p).sum();
-        let chol = p.cholesky()?;
-        let log_det = 2.0 * chol.l_dirty().diagonal().iter().map(|d| d.ln()).sum::<f64>();
-        value += mu * (trace - log_det);
-    }
-    value.is_finite().then_some(value)
-}
-
 fn failed(why: &str) -> BadInput {
     BadInput::new(format!(
         "physically consistent fit: {why}; expected a solvable problem (check the robot file's masses)"
     ))
 }
 
-/// Mass [kg] and radius of gyration [m] of a link that the robot file says nothing of.
-const UNKNOWN_LINK: (f64, f64) = (1.0, 0.1);
+/// Radius of gyration of a link that the robot file says nothing of [m].
+const UNKNOWN_RADIUS: f64 = 0.1;
+/// Lever by which its mass is guessed from the largest first moment found [m]; at least 1 kg.
+const UNKNOWN_LEVER: f64 = 0.5;
 /// A rotor inertia or friction coefficient that nothing is known of.
 const UNKNOWN_SCALAR: f64 = 0.1;
 
-fn cones(body: &dyn RigidBody, structure: &Structure) -> Vec<Cone> {
+fn cones(body: &dyn RigidBody, structure: &Structure, solution: &Solution) -> Vec<Cone> {
+    let moments =
+        structure.base.iter().enumerate().filter(|(_, b)| structure.columns[b.column].unit.starts_with("kg m"));
+    let first = moments.filter(|(_, b)| !structure.columns[b.column].unit.contains("^2"));
+    let mass = first.map(|(i, _)| solution.beta[i].abs() / UNKNOWN_LEVER).fold(1.0, f64::max);
     let find = |symbol: &str| structure.columns.iter().position(|c| c.symbol == symbol);
     let mut out = Vec::new();
     if body.as_serial().is_some() {
@@ -189,7 +278,7 @@ fn cones(body: &dyn RigidBody, structure: &Structure) -> Vec<Cone> {
             let names = ["Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m"];
             let found: Option<Vec<usize>> = names.iter().map(|n| find(&format!("{n}{link}"))).collect();
             if let Some(place) = found {
-                out.push(pseudo_inertia(structure, &place));
+                out.push(pseudo_inertia(structure, &place, mass));
             }
         }
     }
@@ -213,8 +302,9 @@ fn cones(body: &dyn RigidBody, structure: &Structure) -> Vec<Cone> {
     out
 }
 
-/// The 4 × 4 pseudo-inertia of a link; `place` holds the columns of Ixx, Ixy, Ixz, Iyy, Iyz, Izz, mx, my, mz, m.
-fn pseudo_inertia(structure: &Structure, place: &[usize]) -> Cone {
+/// The 4 × 4 pseudo-inertia of a link; `place` holds the columns of Ixx, Ixy, Ixz, Iyy, Iyz, Izz, mx, my, mz, m; `mass` is
+/// that of a link that the robot file says nothing of.
+fn pseudo_inertia(structure: &Structure, place: &[usize], mass: f64) -> Cone {
     let unit = |entries: &[(usize, usize, f64)]| {
         let mut m = DMatrix::zeros(4, 4);
         for &(i, j, v) in entries {
@@ -240,8 +330,7 @@ fn pseudo_inertia(structure: &Structure, place: &[usize]) -> Cone {
     let parts: Vec<(usize, DMatrix<f64>)> = place.iter().copied().zip(shapes).collect();
     let assemble =
         |values: &[f64]| parts.iter().zip(values).fold(DMatrix::zeros(4, 4), |p, ((_, m), v): (_, &f64)| p + m * *v);
-    let (mass, radius) = UNKNOWN_LINK;
-    let turning = 2.0 * mass * radius * radius;
+    let turning = 2.0 * mass * UNKNOWN_RADIUS * UNKNOWN_RADIUS;
     let unknown = [turning, 0.0, 0.0, turning, 0.0, turning, 0.0, 0.0, 0.0, mass];
     // A nominal link with no extent (a point mass, a thin rod) is on the cone's border: it gets a centimetre.
     let mut values = nominal;
@@ -269,21 +358,24 @@ mod tests {
     #[test]
     fn a_scalar_problem_by_hand() {
         // ½ a x² − c x with x > 0 and c < 0: the free minimum is negative, the constrained one at the border.
-        let cone = |prior: f64| Cone {
-            size: 1,
-            parts: vec![(0, DMatrix::from_element(1, 1, 1.0))],
-            prior_inverse: DMatrix::from_element(1, 1, 1.0 / prior),
-            start: vec![(0, prior)],
+        let problem = |c: f64| Problem {
+            a: DMatrix::from_element(1, 1, 4.0),
+            c: DVector::from_element(1, c),
+            cones: vec![Cone {
+                size: 1,
+                parts: vec![(0, DMatrix::from_element(1, 1, 1.0))],
+                prior_inverse: DMatrix::from_element(1, 1, 1.0),
+                start: vec![(0, 1.0)],
+            }],
+            coordinates: Coordinates { t: DMatrix::identity(1, 1), others: Vec::new(), base: vec![(0, Vec::new())] },
         };
-        let (h, g) = (DMatrix::from_element(1, 1, 4.0), DVector::from_element(1, -2.0));
         let mut x = DVector::from_element(1, 1.0);
         let mu = 1e-3;
-        newton(&h, &g, &[cone(1.0)], mu, &mut x).unwrap();
+        problem(-2.0).newton(mu, &mut x).unwrap();
         // 4 x + 2 + μ (1 − 1/x) = 0
         let root = (-(2.0 + mu) + f64::sqrt((2.0 + mu) * (2.0 + mu) + 16.0 * mu)) / 8.0;
         assert!((x[0] / root - 1.0).abs() < 1e-4, "{} {root}", x[0]);
-        let g = DVector::from_element(1, 2.0);
-        newton(&h, &g, &[cone(1.0)], 1e-9, &mut x).unwrap();
+        problem(2.0).newton(1e-9, &mut x).unwrap();
         assert!((x[0] - 0.5).abs() < 1e-6, "inside, the free minimum c/a");
     }
 }

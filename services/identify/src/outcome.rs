@@ -60,6 +60,8 @@ pub struct NotExcited {
     /// The 95 % interval, where the data give one that includes zero; the value itself is not supported.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ci95: Option<[f64; 2]>,
+    /// Whether the model file still has its fitted value (leaving it out would move the others), not the robot file's.
+    pub in_model: bool,
 }
 
 /// Held-out error with its conditions.
@@ -108,6 +110,8 @@ pub struct Consistency {
     pub free_relative_error: f64,
     /// Weighted residual of the constrained fit over that of the free fit, on the training rows (root of the ratio of squares).
     pub training_residual_ratio: f64,
+    /// Most that this ratio is above the best constrained fit's.
+    pub ratio_gap: f64,
 }
 
 /// `identification.json`.

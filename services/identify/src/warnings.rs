@@ -6,6 +6,7 @@ use crate::condition::{Conditioned, Plan};
 use crate::delay::DelayEstimate;
 use crate::evaluate::Score;
 use crate::fit::{Solution, Why};
+use crate::outcome::Consistency;
 use crate::rows::Rows;
 use lacuna_interfaces::RobotFile;
 
@@ -20,6 +21,7 @@ pub(crate) struct Findings<'a> {
     pub(crate) held_out: &'a Score,
     pub(crate) with_standstill: Option<f64>,
     pub(crate) delay: Option<DelayEstimate>,
+    pub(crate) consistency: Option<Consistency>,
 }
 
 /// Least time in motion that supports intervals [s].
@@ -252,6 +254,15 @@ fn timing(f: &Findings<'_>, out: &mut Vec<String>) {
 }
 
 fn quality(f: &Findings<'_>, out: &mut Vec<String>) {
+    if let Some(c) = f.consistency.filter(|c| c.training_residual_ratio > 1.1) {
+        out.push(format!(
+            "links that could exist fit {:.0} % worse in training than free parameters (held out: {:.1} % against {:.1} %): \
+             something that is not a rigid link carries load (a counterbalance, a spring), or the geometry is wrong",
+            100.0 * (c.training_residual_ratio - 1.0),
+            100.0 * f.held_out.relative_error,
+            100.0 * c.free_relative_error
+        ));
+    }
     for (j, e) in f.held_out.relative_error_per_joint.iter().enumerate() {
         if *e > 0.5 {
             out.push(format!(

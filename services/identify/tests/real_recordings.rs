@@ -88,6 +88,28 @@ fn kuka_a_and_b_to_c_and_the_standstill_trap() {
 }
 
 #[test]
+fn consistent_links_where_there_are_links_and_where_there_is_a_counterbalance() {
+    let Some(kinova) = shared("kinova_gen3") else { return };
+    let mut o = options(&kinova, 12.0);
+    o.recordings = files(&kinova, "");
+    o.consistent = true;
+    let outcome = run(&o);
+    let cost = outcome.identification.consistency.unwrap();
+    eprintln!("{cost:?}");
+    // What no link could do, the free fit had learned from noise: the constraint helps on data it has not seen.
+    assert!(outcome.identification.held_out.score.relative_error < cost.free_relative_error);
+    assert!((0.99..1.1).contains(&cost.training_residual_ratio));
+    // Axis 2 of the KUKA has a hydraulic counterbalance, which is no link.
+    let Some(kuka) = shared("kuka_kr300") else { return };
+    let mut o = options(&kuka, 8.0);
+    o.recordings = files(&kuka, "");
+    o.consistent = true;
+    let outcome = run(&o);
+    assert!(outcome.identification.consistency.unwrap().training_residual_ratio > 1.1);
+    assert!(outcome.identification.warnings.iter().any(|w| w.contains("counterbalance")));
+}
+
+#[test]
 fn xl330_with_kp200_held_out() {
     let Some(dir) = shared("bam_xl330") else { return };
     let mut o = options(&dir, 15.0);

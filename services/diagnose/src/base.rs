@@ -4,7 +4,8 @@ use crate::scene::{Column, Raw, Scene};
 use crate::search::{BaseColumn, BaseRole};
 use lacuna_estimation::filter::{Stencil, differentiate};
 use lacuna_interfaces::RobotFile;
-use lacuna_interfaces::robot::Kind;
+use lacuna_interfaces::robot::{Kind, Mass};
+use lacuna_physics::delta::parameters::{GC, INERTIA, M_GR, M_IN};
 use lacuna_physics::RigidBody;
 
 /// Torque to be explained and the base columns.
@@ -139,38 +140,69 @@ fn variants(scene: &Scene) -> Vec<(String, Option<RobotFile>, Vec<f64>)> {
     let tol = &scene.robot.tolerance;
     let mut out = Vec::new();
     if scene.robot.kind == Kind::Delta {
+        if let Some(mass) = &scene.robot.mass {
+            out.extend(delta_masses(scene, mass).into_iter().map(|(name, pi)| (name, None, pi)));
+        }
         type Change = fn(&mut RobotFile, f64);
-        let masses: [(&str, Change); 4] = [
-            ("platform mass", |r, f| if let Some(m) = &mut r.mass { m.platform *= f }),
-            ("upper arm mass", |r, f| if let Some(m) = &mut r.mass { m.upper_arm *= f }),
-            ("forearm mass", |r, f| if let Some(m) = &mut r.mass { m.forearm_point *= f }),
-            ("rotor inertia", |r, f| if let Some(m) = &mut r.mass { m.rotor_inertia *= f }),
-        ];
         let lengths: [(&str, Change); 3] = [
             ("upper arm length", |r, f| if let Some(g) = &mut r.geometry { g.l1 *= f }),
             ("forearm length", |r, f| if let Some(g) = &mut r.geometry { g.l2 *= f }),
             ("radius difference", |r, f| if let Some(g) = &mut r.geometry { g.ra = g.rb + (g.ra - g.rb) * f }),
         ];
-        let all = masses.iter().map(|m| (m, tol.mass)).chain(lengths.iter().map(|l| (l, tol.length)));
-        for ((name, change), size) in all {
+        for (name, change) in lengths {
             let mut file = scene.robot.clone();
-            change(&mut file, 1.0 + size);
-            out.push(((*name).to_owned(), Some(file), Vec::new()));
+            change(&mut file, 1.0 + tol.length);
+            out.push((name.to_owned(), Some(file), Vec::new()));
         }
         return out;
     }
-    // A link's mass, moments and inertia together.
     let parameters = scene.body.parameters();
     for j in 0..scene.joints {
+        // Mass with all that follows from it; where its centre is; the rotor.
+        for (name, symbols) in [
+            ("mass", &["m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz"][..]),
+            ("centre", &["mx", "my", "mz"][..]),
+            ("rotor", &["Ia"][..]),
+        ] {
+            let mut pi = scene.pi.clone();
+            for (v, p) in pi.iter_mut().zip(parameters) {
+                if symbols.iter().any(|s| p.symbol == format!("{s}{}", j + 1)) {
+                    *v *= 1.0 + tol.mass;
+                }
+            }
+            if pi != scene.pi {
+                out.push((format!("link {} {name}", j + 1), None, pi));
+            }
+        }
+    }
+    out
+}
+
+/// Parameters of a Delta with each mass of each leg at the upper end of its tolerance.
+fn delta_masses(scene: &Scene, mass: &Mass) -> Vec<(String, Vec<f64>)> {
+    let tol = scene.robot.tolerance.mass;
+    let l1 = scene.body.as_delta().map_or(0.0, lacuna_physics::Delta::l1_m);
+    let mut out = Vec::new();
+    let mut push = |name: String, changes: &[(usize, f64)]| {
         let mut pi = scene.pi.clone();
-        for (v, p) in pi.iter_mut().zip(parameters) {
-            if p.joint == Some(j) {
-                *v *= 1.0 + tol.mass;
+        for (slot, by) in changes {
+            if let Some(v) = pi.get_mut(*slot) {
+                *v += tol * by;
             }
         }
         if pi != scene.pi {
-            out.push((format!("link {} mass", j + 1), None, pi));
+            out.push((name, pi));
         }
+    };
+    push("platform mass".into(), &[(M_IN, mass.platform), (M_GR, mass.platform)]);
+    for i in 0..3 {
+        let (arm, fore) = (mass.upper_arm, mass.forearm_point);
+        push(format!("upper arm {} mass", i + 1), &[(INERTIA + i, arm / 3.0 * l1 * l1), (GC + i, arm / 2.0 * l1)]);
+        push(
+            format!("forearm {} mass", i + 1),
+            &[(INERTIA + i, fore * l1 * l1), (GC + i, fore * l1), (M_IN, fore), (M_GR, fore)],
+        );
+        push(format!("rotor {} inertia", i + 1), &[(INERTIA + i, mass.rotor_inertia)]);
     }
     out
 }

@@ -19,12 +19,12 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { rounds: 70, depth: 4, rate: 0.15, leaf: 25 }
+        Self { rounds: 70, depth: 4, rate: 0.15, leaf: 15 }
     }
 }
 
 /// Most bins of a feature.
-const BINS: usize = 96;
+const BINS: usize = 200;
 
 /// Features in bins: `[feature][row]`.
 #[derive(Debug, Clone)]

@@ -77,7 +77,11 @@ impl Search<'_> {
     fn carry_from(&self, model: &Model, state: &State, whole: &Atom, phi: &Column, start: f64) -> Option<Ranked> {
         let mut residual = self.residual(model, state);
         let mut mass = start;
-        let mut weights = state.weights.clone();
+        // As many independent rows as noise has: the misfit that blunts the evidence is the payload's own.
+        let sharp = |s: &State| -> Vec<f64> {
+            s.weights.iter().zip(&s.independent).map(|(w, i)| w / i * i.max(0.3)).collect()
+        };
+        let mut weights = sharp(state);
         let mut carried = vec![false; self.scene.rows];
         let mut atom = None;
         for _ in 0..6 {
@@ -96,7 +100,7 @@ impl Search<'_> {
             if mass <= 0.0 {
                 return None;
             }
-            weights.clone_from(&fitted.weights);
+            weights = sharp(&fitted);
             // What would be left without the payload, all else as fitted.
             residual = self.residual(&trial, &fitted);
             for column in &candidate.columns {

@@ -300,6 +300,8 @@ fn intervals(m: &Material<'_>, atom: &Atom) -> Vec<(String, f64, f64)> {
 
 /// Share of a joint's base mismatch that must be left unnamed, and explained by the black box, to be a finding.
 const UNKNOWN_SHARE: f64 = 0.15;
+/// Share of a joint's base mismatch that, left unnamed, is a finding even if no black box explains it.
+const UNEXPLAINED_SHARE: f64 = 0.4;
 
 fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[f64]) -> (Unknown, Option<Finding>) {
     let n = m.scene.joints;
@@ -311,10 +313,21 @@ fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[
     let worst = (0..n).max_by(|a, b| (taken(*a) / m.search.limits.floor_nm[*a].powi(2)).total_cmp(&(taken(*b) / m.search.limits.floor_nm[*b].powi(2)))).unwrap_or(0);
     let size = (taken(worst) / count(worst)).sqrt();
     let own = taken(worst) / ((before_rms[worst].powi(2) - noise[worst].powi(2)).max(1e-30) * count(worst));
-    let flag = size > 1.5 * m.search.limits.floor_nm[worst]
+    // Or: nothing explains most of what is there, not even the black box.
+    let over = |j: usize| {
+        let left = (rest.before[j] / count(j) - noise[j].powi(2)).max(0.0);
+        let all = (before_rms[j].powi(2) - noise[j].powi(2)).max(1e-30);
+        if left.sqrt() > 3.0 * m.search.limits.floor_nm[j].max(0.6 * noise[j]) { left / all } else { 0.0 }
+    };
+    let most = (0..n).max_by(|a, b| over(*a).total_cmp(&over(*b))).unwrap_or(0);
+    let unexplained = over(most) > UNEXPLAINED_SHARE;
+    let by_box = size > 1.5 * m.search.limits.floor_nm[worst]
         && own > UNKNOWN_SHARE
         && taken(worst) > 0.2 * rest.before[worst]
         && rest.folds[worst] > 0.6;
+    let flag = by_box || unexplained;
+    let worst = if by_box { worst } else { most };
+    let size = if by_box { size } else { (rest.before[worst] / count(worst) - noise[worst].powi(2)).max(0.0).sqrt() };
     if !flag {
         return (Unknown { flag, share: share.min(0.4) * f64::from(u8::from(size > m.search.limits.floor_nm[worst])), r#where: None, map: None, expression: None }, None);
     }
@@ -330,7 +343,7 @@ fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[
         rms_nm: size,
     };
     let before = (rest.before[worst] / count(worst)).sqrt();
-    let after = (rest.after[worst] / count(worst)).sqrt();
+    let after = (rest.after[worst].min(rest.before[worst]) / count(worst)).sqrt();
     let region = found.as_ref().map_or_else(String::new, |f| format!(", mostly at {} {:.3} to {:.3}", f.2.variable, f.2.low, f.2.high));
     let finding = Finding {
         effect: "unknown".into(),
@@ -341,8 +354,9 @@ fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[
         group: Vec::new(),
         equation: String::new(),
         sentence: format!(
-            "Joint {joint} has a torque of {size:.3} {} that no effect of the catalogue explains{region}; a black box predicts it on recordings it was not fitted to.",
-            m.scene.robot.torque_unit.symbol()
+            "Joint {joint} has a torque of {size:.3} {} that no effect of the catalogue explains{region}; {} on recordings it was not fitted to.",
+            m.scene.robot.torque_unit.symbol(),
+            if by_box { "a black box predicts it" } else { "a black box does not predict it either" }
         ),
         parameters: Vec::new(),
         held_out: Reduction { before_rms_nm: before, after_rms_nm: after, reduction: 1.0 - after / before.max(1e-30), ci95: [0.0, 1.0] },

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 /// Sub-steps a sample.
 const SUBSTEPS: usize = 6;
 /// Pieces that are looked at.
-const PIECES: usize = 3;
+const PIECES: usize = 2;
 
 /// Link of one joint along one piece.
 struct Link {

@@ -155,6 +155,8 @@ pub struct Limits {
 
 /// Name of the tolerance of half a sample of delay.
 pub const DELAY: &str = "torque delay";
+/// Least share of independent rows: a large slow misfit may blunt the evidence, but only so far.
+const LEAST_INDEPENDENT: f64 = 0.05;
 /// Share of the prior's limit at which a tolerance is taken to be one standard deviation.
 const TOLERANCE_SD: f64 = 0.5;
 
@@ -271,7 +273,7 @@ impl<'a> Search<'a> {
             }
             time += 2.0 * rho;
         }
-        1.0 / time
+        (1.0 / time).max(LEAST_INDEPENDENT)
     }
 
     /// What `columns` would add to the fitted model.

@@ -39,6 +39,11 @@ const SWAP_NATS: f64 = 8.0;
 /// How long a link may swing on after the beginning of a recording [s].
 const SWING_S: f64 = 0.4;
 
+/// Index of the largest value.
+fn largest(values: &[f64]) -> usize {
+    (0..values.len()).max_by(|a, b| values[*a].total_cmp(&values[*b])).unwrap_or(0)
+}
+
 /// A term that an earlier run found.
 #[derive(Debug, Clone)]
 pub struct Seed {
@@ -363,23 +368,28 @@ impl Search<'_> {
                 subtract(&mut target, column, -1.0);
             }
         }
-        let precision = self.precision(&rest, &[]);
+        // A delay that is taken away must not come back as a tolerance.
+        let taken: Vec<&Atom> = gone.iter().filter_map(|i| model.atoms.get(*i)).collect();
+        let precision = self.precision(&rest, &taken);
         Gram::new(&self.layout, &target, &rest.columns()).fit(&self.layout, &state.weights, &precision)
     }
 
     /// Elastic joints and backlash, where a residual is large enough to be one: they are dear to simulate.
-    fn driven(&self, ctx: &Context<'_>, model: &Model, state: &State, screen: bool) -> Vec<Atom> {
+    fn driven(&self, ctx: &Context<'_>, model: &Model, state: &State) -> Vec<Atom> {
         let n = self.scene.joints;
         let rms = self.held_out_rms(state);
         let most = rms.iter().copied().fold(0.0, f64::max);
-        let joints: Vec<usize> =
-            (0..n).filter(|j| rms[*j] > 2.5 * self.limits.noise_nm[*j] && rms[*j] > 0.7 * most).collect();
+        let mut joints: Vec<usize> =
+            (0..n).filter(|j| rms[*j] > 2.5 * self.limits.noise_nm[*j] && rms[*j] > 0.75 * most).collect();
+        // A soft joint shakes itself most.
+        joints.sort_by(|a, b| rms[*b].total_cmp(&rms[*a]));
+        joints.truncate(2);
         let mut list = Vec::new();
         let residual = self.residual(model, state);
         for (f, family) in self.families.iter().enumerate().filter(|(_, f)| f.driven) {
             for j in &joints {
                 let shapes = match family.id() {
-                    "backlash" if screen && ctx.inertia[*j] > 0.0 && ctx.nominal_base => {
+                    "backlash" if ctx.inertia[*j] > 0.0 && ctx.nominal_base => {
                         self.screen_backlash(ctx, &residual, *j)
                     }
                     "backlash" => Vec::new(),
@@ -425,6 +435,7 @@ impl Search<'_> {
         let mut excluded = Vec::new();
         let mut ctx = context(self.scene, base, self, &model, Some(&state));
         let mut banned: Vec<(usize, usize)> = Vec::new();
+        let mut searched = 0;
         for step in 0..self.limits.most {
             let mut pool = fixed.clone();
             pool.extend(self.build(&ctx, self.candidates(&ctx, |f| f.dynamic && !f.driven)));
@@ -434,8 +445,11 @@ impl Search<'_> {
             let mut ranked = if settled { Vec::new() } else { self.round(&ctx, &model, &state, &pool) };
             // Soft joints are dear to simulate: only where nothing plain explains most of it.
             let driven = model.atoms.iter().any(|a| self.families[a.family].driven);
-            if !settled && !driven && !ranked.iter().any(|r| self.explains(&state, r)) {
-                let pool = self.driven(&ctx, &model, &state, step == 0);
+            let idle = !ranked.iter().any(|r| self.counts(r));
+            let due = step == 0 || (idle && searched < 2);
+            if due && !settled && !driven && !ranked.iter().any(|r| self.explains(&state, r)) {
+                searched += 1;
+                let pool = self.driven(&ctx, &model, &state);
                 ranked.extend(self.round(&ctx, &model, &state, &pool));
                 ranked.sort_by(|a, b| b.merit.total_cmp(&a.merit));
             }
@@ -468,14 +482,17 @@ impl Search<'_> {
             let next_ctx = context(self.scene, base, self, &next, Some(&next_state));
             self.refresh(&next_ctx, &mut next, &mut next_state)?;
             // What looked good in passing must be good once all else is fitted beside it.
-            let kept = self.compare(&state, &state.fit, &next_state.fit, Vec::new()).gain;
-            if kept < 0.3 * best.score.gain {
-                progress(0.3, &format!("  taken back: {kept:.1} of {:.1} nats are left", best.score.gain));
+            let (old, new) = (self.held_out_rms(&state), self.held_out_rms(&next_state));
+            let aim = largest(&best.score.size_nm);
+            if !self.families[best.atoms[0].family].event && new[aim] > 0.98 * old[aim] {
+                progress(0.3, &format!("  taken back: {:.4} Nm at joint {} become {:.4}", old[aim], aim + 1, new[aim]));
                 banned.extend(best.atoms.iter().map(|a| (a.family, a.joint)));
                 continue;
             }
             (model, state) = (next, next_state);
             self.prune(&mut model, &mut state, progress)?;
+            let entered = best.atoms.iter().map(|a| (a.family, a.joint));
+            banned.extend(entered.filter(|e| !model.atoms.iter().any(|a| (a.family, a.joint) == *e)));
             ctx = context(self.scene, base, self, &model, Some(&state));
             self.tell(&model, &state, progress);
             let blank = self.blanks(&model, seeds);

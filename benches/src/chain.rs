@@ -67,6 +67,11 @@ pub fn bare(processes: usize, samples: u64, buffer: usize, period_ns: u64) -> Re
         }
     }
     let _ = std::fs::remove_dir_all(&root);
+    for entry in std::fs::read_dir("/dev/shm")?.flatten() {
+        if entry.file_name().to_string_lossy().starts_with(&format!("{name}_")) {
+            let _ = std::fs::remove_file(entry.path());
+        }
+    }
     if let Some(what) = failed {
         return Err(what.into());
     }

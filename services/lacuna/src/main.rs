@@ -4,6 +4,7 @@ mod bench;
 mod demo;
 mod diagnose;
 mod diagnose_report;
+mod excite;
 mod graph;
 mod identify;
 mod identify_report;
@@ -46,6 +47,8 @@ enum Command {
     Diagnose(diagnose::DiagnoseArgs),
     /// Simulate closed-loop recordings of a robot; the truth goes to a file of its own.
     Simulate(simulate::SimulateArgs),
+    /// Design a motion that identifies the robot best, within its limits.
+    Excite(excite::ExciteArgs),
     /// Show what is in a recording.
     Info(info::InfoArgs),
     /// Complete an MCAP recording that was cut off or damaged.
@@ -65,6 +68,7 @@ fn main() -> ExitCode {
         Command::Identify(args) => identify::identify(&args),
         Command::Diagnose(args) => diagnose::diagnose(&args),
         Command::Simulate(args) => simulate::simulate(&args),
+        Command::Excite(args) => excite::excite(&args),
         Command::Info(args) => info::info(&args),
         Command::Recover(args) => recover::recover(&args),
         Command::Demo(args) => demo::demo(&args),

@@ -81,7 +81,7 @@ fn the_demo_is_identified_and_three_files_are_written() {
         }
     }
     let report = read("out/report.html");
-    assert!(report.starts_with("<!DOCTYPE html>") && report.contains("D3-1200-class"));
+    assert!(report.starts_with("<!doctype html>") && report.contains("D3-1200-class"));
     for part in ["traj_01.csv", "Identified parameters", "Error on held-out data"] {
         assert!(report.contains(part), "\"{part}\" belongs in the report");
     }
@@ -453,7 +453,7 @@ fn diagnose_names_a_planted_effect_and_writes_three_files() {
     model.check(&RobotFile::parse(lacuna_tests::ROBOT).expect("robot file")).expect("a model of this robot");
     assert!(model.terms.iter().any(|t| t.effect == named), "{:?}", model.terms);
     let report = read("out/report.html");
-    assert!(report.starts_with("<!DOCTYPE html>") && report.contains("What is missing"));
+    assert!(report.starts_with("<!doctype html>") && report.contains("What is missing"));
 }
 
 #[test]

@@ -73,7 +73,8 @@ pub fn diagnose(args: &DiagnoseArgs) -> CommandResult {
 }
 
 fn write(outcome: &lacuna_diagnose::Outcome, out: &Path) -> Result<(), Failure> {
-    let text = serde_json::to_string_pretty(&outcome.findings).map_err(|e| Failure::run(format!("findings.json: {e}")))?;
+    let text =
+        serde_json::to_string_pretty(&outcome.findings).map_err(|e| Failure::run(format!("findings.json: {e}")))?;
     words::write(&out.join("findings.json"), (text + "\n").as_bytes())?;
     words::write(&out.join("model.toml"), outcome.model.to_toml()?.as_bytes())
 }
@@ -144,7 +145,8 @@ mod tests {
         let write = |text: &str| std::fs::write(dir.path().join("manifest.json"), text).unwrap();
         write(r#"{"name": "an app", "files": 3}"#);
         assert_eq!(start_times(&paths), None);
-        let entry = |name: &str, start: f64| format!(r#"{{"file": "{name}", "start_time_s": {start}, "duration_s": 5.0}}"#);
+        let entry =
+            |name: &str, start: f64| format!(r#"{{"file": "{name}", "start_time_s": {start}, "duration_s": 5.0}}"#);
         write(&format!(r#"{{"files": [{}], "note": ""}}"#, entry("b.csv", 9.5)));
         assert_eq!(start_times(&paths), None);
         write(&format!(r#"{{"files": [{}, {}], "note": ""}}"#, entry("b.csv", 9.5), entry("a.csv", 1.0)));

@@ -5,8 +5,8 @@ use lacuna_diagnose::findings::{Finding, Map, Parameter, Reduction, Region, Wher
 use lacuna_diagnose::{Findings, Options, Outcome};
 use lacuna_physics::effects;
 use lacuna_report::{
-    BeforeAfterRow, DiagnosisReportData, Excluded, Gain, HeatMap, Located, NextExperiment, ParameterRow, Setup, Stretch,
-    TimeInterval, Unknown,
+    BeforeAfterRow, DiagnosisReportData, Excluded, Gain, HeatMap, Located, NextExperiment, ParameterRow, Setup,
+    Stretch, TimeInterval, Unknown,
 };
 
 /// The report's data. `started` says whether the start times of the recordings were known.
@@ -32,11 +32,7 @@ pub fn data(outcome: &Outcome, options: &Options, started: bool) -> DiagnosisRep
         forward: Vec::new(),
         traces: Vec::new(),
         unknown: unknown(f, unit),
-        excluded: f
-            .excluded
-            .iter()
-            .map(|e| Excluded { effect: e.effect.clone(), reason: e.reason.clone() })
-            .collect(),
+        excluded: f.excluded.iter().map(|e| Excluded { effect: e.effect.clone(), reason: e.reason.clone() }).collect(),
         next_experiment: f.next_experiment.as_ref().map(|n| NextExperiment {
             sentence: n.words.clone(),
             separates: n.separate.clone(),

@@ -5,6 +5,7 @@ use crate::{CommandResult, identify_report, words};
 use clap::Args;
 use lacuna_identify::condition::Conditioning;
 use lacuna_identify::outcome::{Identification, NotExcited, ParameterRow};
+use lacuna_identify::paper::PaperResult;
 use lacuna_identify::{Delay, FileRange, Options, Outcome, Signal};
 use lacuna_interfaces::BadInput;
 use lacuna_report::number::{percent, significant};
@@ -150,20 +151,48 @@ fn summary(outcome: &Outcome) -> String {
     let mut out = String::new();
     // Writing to a String cannot fail.
     let _ = writeln!(out, "{}", identify_report::verdict(id));
-    let moving = if held.moving_only { format!("moving above {} rad/s", held.moving_rad_s) } else { "all samples".to_owned() };
-    let _ = writeln!(out, "Held out: {}; {moving}; 0 to {} Hz.", words::split(&held.split), significant(held.band_hz, 3));
+    let moving =
+        if held.moving_only { format!("moving above {} rad/s", held.moving_rad_s) } else { "all samples".to_owned() };
+    let _ =
+        writeln!(out, "Held out: {}; {moving}; 0 to {} Hz.", words::split(&held.split), significant(held.band_hz, 3));
     out.push('\n');
     out.push_str(&joint_table(id));
-    let departing: Vec<&ParameterRow> = id.parameters.iter().filter(|p| p.departs == Some(true)).collect();
-    let _ = writeln!(out, "\n{} identified; {}.", words::count(id.parameters.len(), "parameter"), match departing.len() {
-        0 => "none departs from the robot file beyond interval and tolerance".to_owned(),
-        n => format!("{n} depart from the robot file beyond interval and tolerance (report.html lists them)"),
+    out.push('\n');
+    out.push_str(&match &id.paper {
+        Some(paper) => paper_words(paper, &id.torque_unit),
+        None => parameter_words(&id.parameters) + &not_excited(&id.not_excited),
     });
-    out.push_str(&not_excited(&id.not_excited));
+    if let Some(c) = &id.consistency {
+        let (cost, free) = (percent(c.training_residual_ratio - 1.0), percent(c.free_relative_error));
+        let _ =
+            writeln!(out, "Physically consistent: costs {cost} of training residual; unconstrained, held out, {free}.");
+    }
     out.push_str(&words::repairs(&id.repairs));
     out.push_str(&words::warnings(&id.warnings));
     out.push('\n');
     out
+}
+
+fn parameter_words(parameters: &[ParameterRow]) -> String {
+    let departing = parameters.iter().filter(|p| p.departs == Some(true)).count();
+    let departs = match departing {
+        0 => "none departs from the robot file beyond interval and tolerance".to_owned(),
+        1 => "one departs from the robot file beyond interval and tolerance (report.html shows it)".to_owned(),
+        n => format!("{n} depart from the robot file beyond interval and tolerance (report.html shows them)"),
+    };
+    format!("{} identified; {departs}.\n", words::count(parameters.len(), "parameter"))
+}
+
+fn paper_words(paper: &PaperResult, unit: &str) -> String {
+    let list = |values: &[f64]| values.iter().map(|v| significant(*v, 3)).collect::<Vec<_>>().join(", ");
+    format!(
+        "ρ1 {}, ρ2 {}; f_v {} {unit} s/rad; f_c {} {unit}: averages over {}.\n",
+        significant(paper.rho1, 4),
+        significant(paper.rho2, 4),
+        list(&paper.f_v),
+        list(&paper.f_c),
+        words::count(paper.trajectories.len(), "recording")
+    )
 }
 
 fn joint_table(id: &Identification) -> String {
@@ -172,17 +201,20 @@ fn joint_table(id: &Identification) -> String {
     let mut out = String::new();
     let unit = &id.torque_unit;
     let rms = format!("RMS [{unit}]");
-    let _ = writeln!(out, "{:width$}  {rms:>10}  {:>10}  {:>10}  {:>10}", "Joint", "mean", "std", "relative");
+    let _ = writeln!(out, "{:width$}  {rms:>12}  {:>12}  {:>12}  {:>10}", "Joint", "mean", "std", "relative");
     for (j, name) in id.joints.iter().enumerate() {
         let get = |list: &[f64]| list.get(j).map_or_else(String::new, |v| significant(*v, 3));
         let relative = score.relative_error_per_joint.get(j).map_or_else(String::new, |v| percent(*v));
         let [rms, mean, std] = [get(&score.rms_nm), get(&score.mean_nm), get(&score.std_nm)];
-        let _ = writeln!(out, "{name:width$}  {rms:>10}  {mean:>10}  {std:>10}  {relative:>10}");
+        let _ = writeln!(out, "{name:width$}  {rms:>12}  {mean:>12}  {std:>12}  {relative:>10}");
     }
     out
 }
 
-/// Parameters that the data do not support, together where the reason is the same.
+/// Longest list of reasons that is still read.
+const REASONS: usize = 8;
+
+/// Parameters that the data do not support, together where the reason is the same. Of many reasons the account alone tells.
 fn not_excited(list: &[NotExcited]) -> String {
     if list.is_empty() {
         return String::new();
@@ -195,8 +227,22 @@ fn not_excited(list: &[NotExcited]) -> String {
         }
     }
     let mut out = format!("{} not excited, so not in the model:\n", words::count(list.len(), "parameter"));
+    let mut others: Vec<&str> = Vec::new();
+    let many = groups.len() > REASONS;
     for (reason, symbols) in groups {
-        let _ = writeln!(out, "  {}: {reason}", symbols.join(", "));
+        if many && symbols.len() == 1 {
+            others.extend(symbols);
+        } else {
+            // Writing to a String cannot fail.
+            let _ = writeln!(out, "  {}: {reason}", symbols.join(", "));
+        }
+    }
+    if !others.is_empty() {
+        let _ = writeln!(
+            out,
+            "  {}: not told from zero or from others; identification.json gives the figures",
+            others.join(", ")
+        );
     }
     out
 }

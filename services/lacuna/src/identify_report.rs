@@ -3,7 +3,7 @@
 use crate::words;
 use lacuna_identify::Outcome;
 use lacuna_identify::outcome::{Identification, JointCurves, ReportData};
-use lacuna_identify::paper::ErrorTable as Errors;
+use lacuna_identify::paper::{ErrorTable as Errors, PaperResult};
 use lacuna_identify::split::TimeRange;
 use lacuna_interfaces::Repair;
 use lacuna_report::number::{compact, percent, significant};
@@ -32,12 +32,8 @@ pub fn data(outcome: &Outcome) -> IdentificationReportData {
         held_out: held_out(id),
         methods: methods(id),
         traces: traces(&outcome.report, &id.held_out.split),
-        parameters: parameters(id),
-        not_excited: id
-            .not_excited
-            .iter()
-            .map(|n| NotExcited { symbol: n.symbol.clone(), reason: n.reason.clone() })
-            .collect(),
+        parameters: id.paper.as_ref().map_or_else(|| parameters(id), |p| paper_parameters(p, id)),
+        not_excited: not_excited(id),
         conditioning: conditions(id),
         table_1: id.paper.as_ref().and_then(|p| {
             error_table("Table 1 of the paper: torque error over the held-out recordings", &p.table1, &id.joints)
@@ -68,12 +64,15 @@ pub fn verdict(id: &Identification) -> String {
     };
     let where_ = if held.moving_only { "while the joints move, " } else { "" };
     let error = percent(held.score.relative_error);
-    format!("{}: {where_}the identified model misses {error} of the torque (RMS) on data it had not seen{own}.", id.robot)
+    format!(
+        "{}: {where_}the identified model misses {error} of the torque (RMS) on data it had not seen{own}.",
+        id.robot
+    )
 }
 
 fn tone(id: &Identification) -> Tone {
     let error = id.held_out.score.relative_error;
-    if !(error < 1.0) || id.held_out.nominal_relative_error.is_some_and(|nominal| error >= nominal) {
+    if error.is_nan() || error >= 1.0 || id.held_out.nominal_relative_error.is_some_and(|nominal| error >= nominal) {
         Tone::Problem
     } else if id.warnings.is_empty() {
         Tone::Good
@@ -109,6 +108,9 @@ fn setup(id: &Identification) -> Setup {
         add("Physically consistent", format!("every link can exist; this costs {more} of training residual"));
     }
     add("Intervals", format!("95 %, from {} of time", words::count(id.blocks, "block")));
+    if held.moving_only {
+        add("Model in the charts", "where the joint counts; a gap is where it stands or the drive is off".to_owned());
+    }
     add("Time in the charts", "since the first sample of each recording that was used".to_owned());
     Setup {
         train: held.train.iter().map(stretch).collect(),
@@ -151,7 +153,12 @@ fn methods(id: &Identification) -> Vec<MethodRow> {
     }
     let mut note = "";
     if let Some(consistency) = &id.consistency {
-        rows.push(row("unconstrained", consistency.free_relative_error, &[], "the fit alone, whether such links can exist or not"));
+        rows.push(row(
+            "unconstrained",
+            consistency.free_relative_error,
+            &[],
+            "the fit alone, whether such links can exist or not",
+        ));
         note = "all inertias physically possible";
     }
     if !rows.is_empty() {
@@ -171,13 +178,40 @@ fn parameters(id: &Identification) -> Vec<ParameterRow> {
             value: p.value,
             ci95: Some((p.ci95[0], p.ci95[1])),
             nominal: p.nominal,
-            merged_with: p
-                .merged_with
-                .iter()
-                .map(|m| format!("{} {}", compact(m.factor), m.symbol))
-                .collect(),
+            merged_with: p.merged_with.iter().map(|m| format!("{} {}", compact(m.factor), m.symbol)).collect(),
         })
         .collect()
+}
+
+/// ρ1, ρ2 and friction as the paper averages them; the paper gives no intervals.
+fn paper_parameters(paper: &PaperResult, id: &Identification) -> Vec<ParameterRow> {
+    let row = |symbol: &str, joint: &str, meaning: &str, unit: String, value: f64| ParameterRow {
+        symbol: symbol.to_owned(),
+        joint: joint.to_owned(),
+        meaning: meaning.to_owned(),
+        unit,
+        value,
+        ..ParameterRow::default()
+    };
+    let mut rows = vec![
+        row("ρ1", "", "factor on the inertia term", String::new(), paper.rho1),
+        row("ρ2", "", "factor on the gravity term", String::new(), paper.rho2),
+    ];
+    let unit = &id.torque_unit;
+    for (joint, value) in id.joints.iter().zip(&paper.f_v) {
+        rows.push(row("f_v", joint, "viscous friction", format!("{unit} s/rad"), *value));
+    }
+    for (joint, value) in id.joints.iter().zip(&paper.f_c) {
+        rows.push(row("f_c", joint, "Coulomb friction", unit.clone(), *value));
+    }
+    rows
+}
+
+/// The paper's model has fixed parameters; what the data excite concerns the pooled fit alone.
+fn not_excited(id: &Identification) -> Vec<NotExcited> {
+    let of =
+        |n: &lacuna_identify::outcome::NotExcited| NotExcited { symbol: n.symbol.clone(), reason: n.reason.clone() };
+    if id.paper.is_some() { Vec::new() } else { id.not_excited.iter().map(of).collect() }
 }
 
 fn conditions(id: &Identification) -> Vec<ConditionRow> {
@@ -260,14 +294,18 @@ fn trace(report: &ReportData, recording: String, first: usize, points: &[usize])
 }
 
 fn joint(curves: &JointCurves, points: &[usize]) -> JointTrace {
-    let pick = |list: &[f32]| -> Vec<f64> { points.iter().filter_map(|&k| list.get(k)).map(|v| f64::from(*v)).collect() };
+    let pick =
+        |list: &[f32]| -> Vec<f64> { points.iter().filter_map(|&k| list.get(k)).map(|v| f64::from(*v)).collect() };
+    let counts = |k: &usize| curves.counted.get(*k).copied().unwrap_or(false);
+    // A standing joint holds any torque within its stiction: what the model says there is not judged, nor drawn.
+    let model = points.iter().zip(pick(&curves.model_nm)).map(|(k, v)| if counts(k) { v } else { f64::NAN }).collect();
     JointTrace {
         joint: curves.joint.clone(),
         measured: pick(&curves.measured_nm),
         q_rad: Vec::new(),
         qd_rad_s: pick(&curves.qd_rad_s),
         variables: Vec::new(),
-        models: vec![NamedSeries { name: "identified".to_owned(), values: pick(&curves.model_nm) }],
+        models: vec![NamedSeries { name: "identified".to_owned(), values: model }],
     }
 }
 
@@ -282,7 +320,7 @@ mod tests {
             measured_nm: vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0],
             model_nm: vec![0.5; 6],
             qd_rad_s: vec![1.0; 6],
-            counted: vec![true; 6],
+            counted: vec![true, true, true, true, false, true],
             bin_qd_rad_s: Vec::new(),
             bin_residual_nm: Vec::new(),
             bin_std_nm: Vec::new(),
@@ -302,6 +340,8 @@ mod tests {
         assert_eq!(all.iter().map(|t| t.recording.as_str()).collect::<Vec<_>>(), ["a.csv", "b.csv"]);
         assert_eq!(all[1].joints[0].measured, [3.0, 4.0, 5.0]);
         assert_eq!(all[1].t_s[0], 0.0);
+        let model = &all[1].joints[0].models[0].values;
+        assert!(model[0] == 0.5 && model[1].is_nan(), "what is not judged is not drawn: {model:?}");
     }
 
     #[test]

@@ -138,7 +138,9 @@ pub fn info(args: &InfoArgs) -> CommandResult {
 /// The MCAP file that `path` is or, as a bag folder, holds; `None` for a file of another format.
 fn mcap_file(path: &Path) -> Result<Option<PathBuf>, Failure> {
     let fail = |e: std::io::Error| match e.kind() {
-        std::io::ErrorKind::NotFound => Failure::usage(format!("{}: found no such file; expected it to exist", path.display())),
+        std::io::ErrorKind::NotFound => {
+            Failure::usage(format!("{}: found no such file; expected it to exist", path.display()))
+        }
         _ => Failure::usage(format!("{}: cannot be read: {e}", path.display())),
     };
     if path.is_dir() {
@@ -180,7 +182,8 @@ fn container(info: &FileInfo) -> Container {
 fn contents(path: &Path, topic: Option<String>, robot: &RobotFile, progress: &Progress) -> Result<Contents, BadInput> {
     const PROGRESS_EVERY: usize = 1 << 14;
     let n = robot.joint_count().min(MAX_JOINTS);
-    let mut reader = lacuna_recording::open_with(path, robot, &ReadOptions { topic, ..ReadOptions::default() })?;
+    let mut reader =
+        lacuna_recording::open_with(path, robot, &ReadOptions { topic, extra: true, ..ReadOptions::default() })?;
     let mut stamps_ns: Vec<i64> = Vec::new();
     let mut gaps = Vec::new();
     let mut spans = [Span::default(); MAX_JOINTS];
@@ -277,7 +280,8 @@ fn container_words(c: &Container) -> String {
     for (name, t) in &c.topics {
         let length = t.duration_s.map_or_else(|| "–".to_owned(), |s| format!("{} s", significant(s, 4)));
         let rate = t.rate_hz.map_or_else(|| "–".to_owned(), |r| format!("{} Hz", significant(r, 4)));
-        let _ = writeln!(text, "{name:width$}  {:>9}  {length:>9}  {rate:>9}  {} ({})", t.messages, t.schema, t.encoding);
+        let _ =
+            writeln!(text, "{name:width$}  {:>9}  {length:>9}  {rate:>9}  {} ({})", t.messages, t.schema, t.encoding);
     }
     if !c.attachments.is_empty() {
         let list: Vec<String> = c.attachments.iter().map(|(name, bytes)| format!("{name} ({bytes} bytes)")).collect();
@@ -292,7 +296,8 @@ fn container_words(c: &Container) -> String {
 fn contents_words(r: &Contents) -> String {
     let mut text = String::new();
     let topic = r.topic.as_ref().map_or_else(String::new, |t| format!(", topic {t}"));
-    let rate = r.median_rate_hz.map_or_else(|| "no rate".to_owned(), |hz| format!("{} Hz (median)", significant(hz, 4)));
+    let rate =
+        r.median_rate_hz.map_or_else(|| "no rate".to_owned(), |hz| format!("{} Hz (median)", significant(hz, 4)));
     // Writing to a String cannot fail.
     let _ = writeln!(
         text,

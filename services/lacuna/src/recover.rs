@@ -41,7 +41,10 @@ struct Report {
 pub fn recover(args: &RecoverArgs) -> CommandResult {
     if same_file(&args.input, &args.output) {
         // Replacing the output would destroy the only copy of the input.
-        return Err(Failure::usage(format!("{}: found the same file twice; expected a new file", args.output.display())));
+        return Err(Failure::usage(format!(
+            "{}: found the same file twice; expected a new file",
+            args.output.display()
+        )));
     }
     let progress = Progress::spinner();
     progress.step("copying what can be read");

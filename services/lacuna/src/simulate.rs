@@ -48,33 +48,33 @@ pub struct SimulateArgs {
     case_options: CaseArgs,
 }
 
-/// Of what kind a drawn case is.
+/// Of what kind a drawn case is. (clap drops `requires = "case"` where --case itself is ruled out by --robot or --demo, so
+/// these conflict with both instead.)
 #[derive(Args)]
-#[group(requires = "case", multiple = true)]
 struct CaseArgs {
     /// Kind of robot.
-    #[arg(long, value_enum)]
+    #[arg(long, conflicts_with_all = ["robot", "demo"], value_enum)]
     kind: Option<KindArg>,
     /// Number of effects.
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["robot", "demo"])]
     effects: Option<usize>,
     /// This effect first, by its id; may be given several times.
-    #[arg(long, value_name = "ID")]
+    #[arg(long, conflicts_with_all = ["robot", "demo"], value_name = "ID")]
     effect: Vec<String>,
     /// Draw the last effect from outside the catalogue.
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["robot", "demo"])]
     unknown: bool,
     /// Strength of the effects, drawn from this range; 1 is usual.
-    #[arg(long, num_args = 2, value_names = ["LOW", "HIGH"], allow_negative_numbers = true)]
+    #[arg(long, conflicts_with_all = ["robot", "demo"], num_args = 2, value_names = ["LOW", "HIGH"], allow_negative_numbers = true)]
     severity: Option<Vec<f64>>,
     /// Real masses differ from the robot file's by up to this share.
-    #[arg(long, value_name = "SHARE", allow_negative_numbers = true)]
+    #[arg(long, conflicts_with_all = ["robot", "demo"], value_name = "SHARE", allow_negative_numbers = true)]
     mass_error: Option<f64>,
     /// Recordings.
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, conflicts_with_all = ["robot", "demo"], value_parser = clap::value_parser!(u32).range(1..=1000))]
     trajectories: Option<u32>,
     /// Length of each [s].
-    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    #[arg(long, conflicts_with_all = ["robot", "demo"], value_name = "SECONDS", allow_negative_numbers = true)]
     duration: Option<f64>,
 }
 
@@ -235,7 +235,8 @@ fn config(args: &SimulateArgs, robot: &RobotFile) -> Result<SimulationConfig, Ba
 
 /// A drawn robot as a file that says the same.
 fn robot_text(robot: &RobotFile) -> Result<String, Failure> {
-    let text = toml::to_string(robot).map_err(|e| Failure::run(format!("robot file cannot be written as TOML: {e}")))?;
+    let text =
+        toml::to_string(robot).map_err(|e| Failure::run(format!("robot file cannot be written as TOML: {e}")))?;
     match RobotFile::parse(&text) {
         Ok(same) if same == *robot => Ok(text),
         Ok(_) => Err(Failure::run("robot file: what was written does not read back as the same robot")),

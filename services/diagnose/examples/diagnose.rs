@@ -32,7 +32,14 @@ fn main() -> anyhow::Result<()> {
     let read = |files: &[PathBuf]| files.iter().map(|f| read_all(f, &loaded.file)).collect::<Result<Vec<_>, _>>();
     let recordings = read(&files)?;
     conditioning.start_s = start_times(&files);
-    let options = Options { robot: loaded.file.clone(), urdf: loaded.urdf.clone(), recordings, sim: read(&sim)?, conditioning, seed };
+    let options = Options {
+        robot: loaded.file.clone(),
+        urdf: loaded.urdf.clone(),
+        recordings,
+        sim: read(&sim)?,
+        conditioning,
+        seed,
+    };
     let start = std::time::Instant::now();
     let outcome = diagnose(&options, &mut |share, what| {
         if verbose {

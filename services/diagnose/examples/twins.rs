@@ -130,7 +130,11 @@ fn one(seed: u64, options: &CaseOptions, verbose: bool) -> Option<Result1> {
     let line = format!(
         "{seed} truth {:?} said {:?} after/oracle {:.2} base/oracle {:.1} dof {}",
         truth.effects.iter().map(|e| format!("{}{:?}", e.id, e.joints)).collect::<Vec<_>>(),
-        findings.findings.iter().map(|f| format!("{}{:?} {:.2}", f.effect, f.joints, f.probability)).collect::<Vec<_>>(),
+        findings
+            .findings
+            .iter()
+            .map(|f| format!("{}{:?} {:.2}", f.effect, f.joints, f.probability))
+            .collect::<Vec<_>>(),
         norm(&findings.held_out.after_rms_nm) / norm(oracle),
         norm(&findings.held_out.before_rms_nm) / norm(oracle),
         case.robot.joint_count(),
@@ -144,13 +148,19 @@ fn one(seed: u64, options: &CaseOptions, verbose: bool) -> Option<Result1> {
             (t.id.clone(), t.in_catalogue(), hit)
         })
         .collect();
-    let wrong = findings
-        .findings
-        .iter()
-        .filter(|f| f.effect != "unknown" && !(0..right.len()).any(|t| ok(f, t)))
-        .count();
+    let wrong =
+        findings.findings.iter().filter(|f| f.effect != "unknown" && !(0..right.len()).any(|t| ok(f, t))).count();
     let first = findings.findings.first().is_some_and(|f| (0..right.len()).any(|t| ok(f, t)));
-    println!("{} {line}", if truth.effects.is_empty() { if findings.findings.is_empty() { "ok  " } else { "ALARM" } } else if first && wrong == 0 && found.iter().all(|f| f.2) { "HIT " } else { "miss" });
+    println!(
+        "{} {line}",
+        if truth.effects.is_empty() {
+            if findings.findings.is_empty() { "ok  " } else { "ALARM" }
+        } else if first && wrong == 0 && found.iter().all(|f| f.2) {
+            "HIT "
+        } else {
+            "miss"
+        }
+    );
     Some(Result1 {
         clean: truth.effects.is_empty(),
         said: findings.findings.len(),

@@ -5,8 +5,8 @@ use crate::search::{BaseColumn, BaseRole};
 use lacuna_estimation::filter::{Stencil, differentiate};
 use lacuna_interfaces::RobotFile;
 use lacuna_interfaces::robot::{Kind, Mass};
-use lacuna_physics::delta::parameters::{GC, INERTIA, M_GR, M_IN};
 use lacuna_physics::RigidBody;
+use lacuna_physics::delta::parameters::{GC, INERTIA, M_GR, M_IN};
 
 /// Torque to be explained and the base columns.
 pub struct Base {
@@ -84,6 +84,49 @@ impl Base {
         base
     }
 
+    /// Residual with viscous and Coulomb friction over the torque, each joint by its own, root mean square.
+    pub fn relative_error(&self, scene: &Scene) -> f64 {
+        let power = |x: &[f64]| x.iter().map(|v| v * v).sum::<f64>().max(1e-30);
+        let shares = (0..scene.joints).map(|j| {
+            let of = |role: &BaseRole| self.columns.iter().find(|c| c.role == *role).map(|c| &c.column.part[j]);
+            match (of(&BaseRole::Viscous(j)), of(&BaseRole::Coulomb(j))) {
+                (Some(v), Some(c)) => two_column_rest(&self.target.part[j], v, c) / power(&self.torque.part[j]),
+                _ => f64::INFINITY,
+            }
+        });
+        (shares.sum::<f64>() / scene.joints as f64).sqrt()
+    }
+
+    /// Base whose dynamic parameters are fitted freely: the smallest set that the motion tells apart.
+    pub fn free(scene: &Scene) -> Self {
+        let torque_raw: Raw = scene.pieces.iter().map(|p| p.tau.clone()).collect();
+        let torque = scene.column(torque_raw);
+        let nominal = scene.pieces.iter().map(|p| vec![vec![0.0; p.len()]; scene.joints]).collect();
+        let mut base = Self {
+            target: torque.clone(),
+            torque,
+            nominal,
+            stick: Raw::new(),
+            width: vec![1e-4; scene.joints],
+            columns: Vec::new(),
+            nominal_base: false,
+        };
+        base.add_friction(scene);
+        for j in 0..scene.joints {
+            let raw = crate::scene::constant(scene, j);
+            push(scene, &mut base.columns, BaseRole::Offset(j), raw);
+        }
+        let dynamic = parameter_columns(scene);
+        let fixed: Vec<&Column> = base.columns.iter().map(|c| &c.column).collect();
+        let keep = independent(&fixed, &dynamic);
+        let symbols = scene.body.parameters();
+        for (i, column) in dynamic.into_iter().enumerate().filter(|(i, _)| keep.contains(i)) {
+            let role = BaseRole::Parameter(symbols[i].symbol.clone());
+            base.columns.push(BaseColumn { role, raw: Raw::new(), column });
+        }
+        base
+    }
+
     fn add_friction(&mut self, scene: &Scene) {
         let speeds: Raw = scene.pieces.iter().map(|p| p.qd.clone()).collect();
         for j in 0..scene.joints {
@@ -128,6 +171,73 @@ impl Base {
     }
 }
 
+/// Regressor columns of all dynamic parameters at the rows.
+fn parameter_columns(scene: &Scene) -> Vec<Column> {
+    let (n, p) = (scene.joints, scene.body.parameters().len());
+    let mut out: Vec<Column> = vec![Column { part: vec![Vec::new(); n] }; p];
+    for c in 0..p {
+        let raw = scene.structure_raw(|piece, k, values| {
+            let mut y = vec![0.0; n * p];
+            if scene.with_motion(piece, k, |m| scene.body.regressor(m, &mut y)).is_ok() {
+                for (j, v) in values.iter_mut().enumerate() {
+                    *v = y[j * p + c];
+                }
+            }
+        });
+        out[c] = scene.column(raw);
+    }
+    out
+}
+
+/// Which of `columns` add something to `fixed` and to one another: largest remainder first, until what is
+/// left of a column is below a hundredth of it.
+fn independent(fixed: &[&Column], columns: &[Column]) -> Vec<usize> {
+    const LEFT: f64 = 1e-4;
+    let dot = |a: &Column, b: &Column| -> f64 {
+        a.part.iter().zip(&b.part).map(|(x, y)| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>()).sum()
+    };
+    let all: Vec<&Column> = fixed.iter().copied().chain(columns).collect();
+    let n = all.len();
+    let size: Vec<f64> = all.iter().map(|c| dot(c, c).sqrt()).collect();
+    let scale = |i: usize| if size[i] > 1e-9 { 1.0 / size[i] } else { 0.0 };
+    let mut g = vec![vec![0.0; n]; n];
+    for i in 0..n {
+        for k in 0..=i {
+            let v = dot(all[i], all[k]) * scale(i) * scale(k);
+            g[i][k] = v;
+            g[k][i] = v;
+        }
+    }
+    // Gaussian elimination on the products: after a column is taken, the diagonal is what is left of the others.
+    let eliminate = |g: &mut Vec<Vec<f64>>, i: usize| {
+        let pivot = g[i][i];
+        let row = g[i].clone();
+        for k in 0..n {
+            let f = g[k][i] / pivot;
+            for c in 0..n {
+                g[k][c] -= f * row[c];
+            }
+        }
+    };
+    for i in 0..fixed.len() {
+        if g[i][i] > LEFT {
+            eliminate(&mut g, i);
+        }
+    }
+    let mut keep = Vec::new();
+    loop {
+        let best = (fixed.len()..n).filter(|i| !keep.contains(i)).max_by(|a, b| g[*a][*a].total_cmp(&g[*b][*b]));
+        match best {
+            Some(i) if g[i][i] > LEFT => {
+                eliminate(&mut g, i);
+                keep.push(i);
+            }
+            _ => break,
+        }
+    }
+    keep.iter().map(|i| i - fixed.len()).collect()
+}
+
 fn difference(a: &Raw, b: &Raw) -> Raw {
     a.iter()
         .zip(b)
@@ -145,9 +255,21 @@ fn variants(scene: &Scene) -> Vec<(String, Option<RobotFile>, Vec<f64>)> {
         }
         type Change = fn(&mut RobotFile, f64);
         let lengths: [(&str, Change); 3] = [
-            ("upper arm length", |r, f| if let Some(g) = &mut r.geometry { g.l1 *= f }),
-            ("forearm length", |r, f| if let Some(g) = &mut r.geometry { g.l2 *= f }),
-            ("radius difference", |r, f| if let Some(g) = &mut r.geometry { g.ra = g.rb + (g.ra - g.rb) * f }),
+            ("upper arm length", |r, f| {
+                if let Some(g) = &mut r.geometry {
+                    g.l1 *= f
+                }
+            }),
+            ("forearm length", |r, f| {
+                if let Some(g) = &mut r.geometry {
+                    g.l2 *= f
+                }
+            }),
+            ("radius difference", |r, f| {
+                if let Some(g) = &mut r.geometry {
+                    g.ra = g.rb + (g.ra - g.rb) * f
+                }
+            }),
         ];
         for (name, change) in lengths {
             let mut file = scene.robot.clone();

@@ -42,8 +42,7 @@ impl Binned {
             .map(|f| {
                 let mut sorted: Vec<f64> = f[..rows].to_vec();
                 sorted.sort_by(f64::total_cmp);
-                let mut edges: Vec<f64> =
-                    (1..BINS).filter_map(|b| sorted.get(b * rows / BINS).copied()).collect();
+                let mut edges: Vec<f64> = (1..BINS).filter_map(|b| sorted.get(b * rows / BINS).copied()).collect();
                 edges.dedup();
                 f[..rows].iter().map(|v| edges.partition_point(|e| e <= v) as u8).collect()
             })

@@ -78,9 +78,8 @@ impl Search<'_> {
         let mut residual = self.residual(model, state);
         let mut mass = start;
         // As many independent rows as noise has: the misfit that blunts the evidence is the payload's own.
-        let sharp = |s: &State| -> Vec<f64> {
-            s.weights.iter().zip(&s.independent).map(|(w, i)| w / i * i.max(0.3)).collect()
-        };
+        let sharp =
+            |s: &State| -> Vec<f64> { s.weights.iter().zip(&s.independent).map(|(w, i)| w / i * i.max(0.3)).collect() };
         let mut weights = sharp(state);
         let mut carried = vec![false; self.scene.rows];
         let mut atom = None;
@@ -214,7 +213,11 @@ impl Search<'_> {
         let frozen = self.frozen(model, state, &atom)?;
         let score = self.score(model, state, &[&frozen])?;
         let share = self.local_share(&residual, &frozen);
-        let merit = if share < CONTACT_SHARE || !self.felt_elsewhere(state, &residual, &frozen) { -1.0 } else { score.gain - CONTACT_NATS - self.limits.entry[family] };
+        let merit = if share < CONTACT_SHARE || !self.felt_elsewhere(state, &residual, &frozen) {
+            -1.0
+        } else {
+            score.gain - CONTACT_NATS - self.limits.entry[family]
+        };
         let score = crate::search::Score { folds: 1.0, size_nm: self.local_size(&frozen), ..score };
         Some(Ranked { atoms: vec![frozen], score, merit })
     }
@@ -242,7 +245,9 @@ impl Search<'_> {
     fn refine_inside(&self, ctx: &Context<'_>, model: &Model, state: &State, atom: &Atom) -> Atom {
         let mut best = atom.clone();
         let value = |a: &Atom| {
-            self.frozen(model, state, a).and_then(|f| self.score(model, state, &[&f])).map_or(f64::NEG_INFINITY, |s| s.gain)
+            self.frozen(model, state, a)
+                .and_then(|f| self.score(model, state, &[&f]))
+                .map_or(f64::NEG_INFINITY, |s| s.gain)
         };
         let mut top = value(&best);
         let mut step = [0.006, 1.25];
@@ -339,7 +344,9 @@ impl Search<'_> {
     /// Rows in which a frozen event acts with at least a tenth of its largest torque.
     fn event_rows(&self, atom: &Atom) -> Vec<usize> {
         let size = |row: usize| {
-            (0..self.scene.joints).map(|j| atom.columns.iter().map(|c| at(c, j, row)).sum::<f64>().abs()).fold(0.0, f64::max)
+            (0..self.scene.joints)
+                .map(|j| atom.columns.iter().map(|c| at(c, j, row)).sum::<f64>().abs())
+                .fold(0.0, f64::max)
         };
         let top = (0..self.scene.rows).map(size).fold(0.0, f64::max);
         (0..self.scene.rows).filter(|r| top > 0.0 && size(*r) > 0.1 * top).collect()
@@ -368,7 +375,8 @@ impl Search<'_> {
                 let gain: f64 = rows
                     .iter()
                     .map(|row| {
-                        let (r, c) = (at(residual, *j, *row), atom.columns.iter().map(|c| at(c, *j, *row)).sum::<f64>());
+                        let (r, c) =
+                            (at(residual, *j, *row), atom.columns.iter().map(|c| at(c, *j, *row)).sum::<f64>());
                         0.5 * state.weights[*j] * (r * r - (r - c) * (r - c))
                     })
                     .sum();

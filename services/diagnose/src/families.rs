@@ -57,12 +57,17 @@ pub struct Family {
     pub whole_robot: bool,
     /// It comes and goes: found by `events`, not by columns.
     pub event: bool,
-    shapes: fn(&Context<'_>, usize) -> Vec<ShapeRange>,
+    shapes: Shapes,
 }
+
+/// How the shapes of an effect are searched at a joint.
+type Shapes = fn(&Context<'_>, usize) -> Vec<ShapeRange>;
+/// Id, amplitudes, traits (see [`Family`]), shapes.
+type Line = (&'static str, &'static [&'static str], &'static str, Shapes);
 
 /// Effects that the search takes as columns; payload in carries and collisions are found by their events.
 pub fn all() -> Vec<Family> {
-    let list: [(&str, &'static [&'static str], &str, fn(&Context<'_>, usize) -> Vec<ShapeRange>); 31] = [
+    let list: [Line; 31] = [
         ("coulomb_asym", &["a_c"], "masses whole", none),
         ("stribeck", &["f_sc"], "whole", stribeck),
         ("viscous_power", &["a"], "whole", power),
@@ -175,10 +180,15 @@ impl Family {
     }
 
     /// Parameters of an instance as a model file has them.
-    pub fn parameters(&self, ctx: &Context<'_>, joint: usize, shape: &[f64], amplitude: &[f64]) -> BTreeMap<String, f64> {
+    pub fn parameters(
+        &self,
+        ctx: &Context<'_>,
+        joint: usize,
+        shape: &[f64],
+        amplitude: &[f64],
+    ) -> BTreeMap<String, f64> {
         let shapes = self.shapes(ctx, joint).unwrap_or_default();
-        let mut out: BTreeMap<String, f64> =
-            shapes.iter().zip(shape).map(|(s, v)| (s.symbol.to_owned(), *v)).collect();
+        let mut out: BTreeMap<String, f64> = shapes.iter().zip(shape).map(|(s, v)| (s.symbol.to_owned(), *v)).collect();
         out.extend(self.keep.iter().zip(amplitude).map(|(s, v)| ((*s).to_owned(), *v)));
         out
     }
@@ -186,7 +196,12 @@ impl Family {
     /// Columns at a shape, full rate.
     pub fn raws(&self, ctx: &Context<'_>, joint: usize, shape: &[f64]) -> Vec<Raw> {
         let scene = ctx.scene;
-        let robot = EffectContext { robot: &scene.robot, urdf: scene.urdf.as_deref(), body: scene.body.as_ref(), pi: &scene.pi };
+        let robot = EffectContext {
+            robot: &scene.robot,
+            urdf: scene.urdf.as_deref(),
+            body: scene.body.as_ref(),
+            pi: &scene.pi,
+        };
         let parameters = self.parameters(ctx, joint, shape, &[]);
         let joints = self.joints(joint);
         let count = self.keep.len().max(1);
@@ -370,16 +385,23 @@ fn coupling(_: &Context<'_>, _: usize) -> Vec<ShapeRange> {
 fn delay(ctx: &Context<'_>, _: usize) -> Vec<ShapeRange> {
     let dt = 1.0 / ctx.scene.rate_hz;
     let most = 0.05f64.min(20.0 * dt);
-    one("D", [-2.0, -1.0, 1.0, 2.0, 4.0].iter().map(|n| n * dt).filter(|d| *d > -0.005).collect(), ((-0.005f64).max(-5.0 * dt), most))
+    one(
+        "D",
+        [-2.0, -1.0, 1.0, 2.0, 4.0].iter().map(|n| n * dt).filter(|d| *d > -0.005).collect(),
+        ((-0.005f64).max(-5.0 * dt), most),
+    )
 }
 
 fn saturation(ctx: &Context<'_>, j: usize) -> Vec<ShapeRange> {
     let stride = ctx.scene.stride;
-    let sizes: Vec<f64> =
-        ctx.predicted.iter().flat_map(|p| p[j].iter().step_by(stride).map(|v| v.abs())).collect();
+    let sizes: Vec<f64> = ctx.predicted.iter().flat_map(|p| p[j].iter().step_by(stride).map(|v| v.abs())).collect();
     let at = |p: f64| stats::quantile(&sizes, p);
     vec![
-        ShapeRange { symbol: "tau_k", grid: [0.5, 0.7, 0.85, 0.93].map(at).to_vec(), bounds: Some((at(0.4), at(0.97))) },
+        ShapeRange {
+            symbol: "tau_k",
+            grid: [0.5, 0.7, 0.85, 0.93].map(at).to_vec(),
+            bounds: Some((at(0.4), at(0.97))),
+        },
         ShapeRange { symbol: "p", grid: vec![1.0, 2.0], bounds: None },
     ]
 }
@@ -401,7 +423,9 @@ fn contact(_: &Context<'_>, _: usize) -> Vec<ShapeRange> {
 pub fn link_inertia(scene: &Scene, rotor: &[f64]) -> Vec<f64> {
     let n = scene.joints;
     let q: Vec<f64> = (0..n)
-        .map(|i| stats::median(&scene.pieces.iter().flat_map(|p| p.q[i].iter().copied().step_by(20)).collect::<Vec<_>>()))
+        .map(|i| {
+            stats::median(&scene.pieces.iter().flat_map(|p| p.q[i].iter().copied().step_by(20)).collect::<Vec<_>>())
+        })
         .collect();
     let zero = vec![0.0; n];
     (0..n)
@@ -409,8 +433,14 @@ pub fn link_inertia(scene: &Scene, rotor: &[f64]) -> Vec<f64> {
             let mut unit = zero.clone();
             unit[j] = 1.0;
             let (mut with, mut without) = (zero.clone(), zero.clone());
-            let ok = scene.body.torque(&Motion { q_rad: &q, qd_rad_s: &zero, qdd_rad_s2: &unit }, &scene.pi, &mut with).is_ok()
-                && scene.body.torque(&Motion { q_rad: &q, qd_rad_s: &zero, qdd_rad_s2: &zero }, &scene.pi, &mut without).is_ok();
+            let ok = scene
+                .body
+                .torque(&Motion { q_rad: &q, qd_rad_s: &zero, qdd_rad_s2: &unit }, &scene.pi, &mut with)
+                .is_ok()
+                && scene
+                    .body
+                    .torque(&Motion { q_rad: &q, qd_rad_s: &zero, qdd_rad_s2: &zero }, &scene.pi, &mut without)
+                    .is_ok();
             if ok { (with[j] - without[j] - rotor[j]).max(0.0) } else { 0.0 }
         })
         .collect()

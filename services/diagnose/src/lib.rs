@@ -57,6 +57,12 @@ pub struct Outcome {
 /// # Errors
 /// [`BadInput`] if robot file or recordings cannot be used.
 pub fn diagnose(options: &Options, progress: &mut dyn FnMut(f64, &str)) -> Result<Outcome, BadInput> {
+    if !options.sim.is_empty() {
+        // Refused rather than ignored: a comparison of two sets of recordings is not built yet.
+        return Err(BadInput::new(
+            "sim: found recordings of a simulator; expected none, this comparison is not available",
+        ));
+    }
     progress(0.0, "conditioning the recordings");
     let mut scene = Scene::new(&options.robot, options.urdf.as_deref(), &options.recordings, &options.conditioning)?;
     let families = families::all();
@@ -65,14 +71,20 @@ pub fn diagnose(options: &Options, progress: &mut dyn FnMut(f64, &str)) -> Resul
     // What is found may say that some stretches must not count; then the search is run again without them.
     for last in [false, false, true] {
         progress(0.1, "fitting the base");
-        let base = Base::nominal(&scene);
+        let base = choose_base(&scene);
         let noise_nm = report::noise_floor(&scene);
         let floor_nm = floor(&scene, &base, &noise_nm);
         let limits = Limits { entry: vec![25.0; families.len()], column: 6.0, floor_nm, noise_nm, most: 10 };
         let search = Search::new(&scene, &families, base.target.clone(), limits);
         let selection = search.select(&base, &seeds, progress).ok_or_else(unusable)?;
         if selection.blank.is_empty() || last {
-            let material = report::Material { scene: &scene, base: &base, search: &search, selection: &selection, seed: options.seed };
+            let material = report::Material {
+                scene: &scene,
+                base: &base,
+                search: &search,
+                selection: &selection,
+                seed: options.seed,
+            };
             return report::outcome(&material, progress).ok_or_else(unusable);
         }
         seeds = selection
@@ -89,6 +101,19 @@ pub fn diagnose(options: &Options, progress: &mut dyn FnMut(f64, &str)) -> Resul
         scene.blank(&blank);
     }
     Err(unusable())
+}
+
+/// Largest relative error at which a robot file's masses are taken for the base.
+const NOMINAL_ERROR: f64 = 0.3;
+
+/// The robot file's masses as the base where they are given and fit; otherwise a freely fitted base.
+fn choose_base(scene: &Scene) -> Base {
+    let delta = scene.body.as_delta().is_some();
+    let nominal = (delta || scene.pi.iter().any(|v| *v != 0.0)).then(|| Base::nominal(scene));
+    match nominal {
+        Some(base) if delta || base.relative_error(scene) < NOMINAL_ERROR => base,
+        _ => Base::free(scene),
+    }
 }
 
 /// Smallest torque that counts as a finding, per joint [Nm]: a share of the noise in the band and of the

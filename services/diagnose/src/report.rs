@@ -81,9 +81,8 @@ pub fn outcome(m: &Material<'_>, progress: &mut dyn FnMut(f64, &str)) -> Option<
     let (unknown, unknown_finding) = unknown(m, &ctx, &rest_box, &before_rms);
     findings.extend(unknown_finding);
     findings.sort_by(|a, b| gain(b).total_cmp(&gain(a)));
-    let excess: Vec<f64> = (0..n)
-        .map(|j| (before_rms[j].powi(2) - noise[j].powi(2)).max(0.0) * search.layout.joint_count(j))
-        .collect();
+    let excess: Vec<f64> =
+        (0..n).map(|j| (before_rms[j].powi(2) - noise[j].powi(2)).max(0.0) * search.layout.joint_count(j)).collect();
     let detected = !findings.is_empty();
     let black: Vec<f64> =
         (0..n).map(|j| (base_box.after[j] / search.layout.joint_count(j).max(1.0)).sqrt().min(before_rms[j])).collect();
@@ -93,7 +92,11 @@ pub fn outcome(m: &Material<'_>, progress: &mut dyn FnMut(f64, &str)) -> Option<
         robot: scene.robot.name.clone(),
         recordings: scene.names.clone(),
         joints: scene.robot.joints.clone(),
-        baseline: Baseline { rms_nm: before_rms.clone(), relative_error: relative(&before_rms, &size), noise_floor_nm: noise.clone() },
+        baseline: Baseline {
+            rms_nm: before_rms.clone(),
+            relative_error: relative(&before_rms, &size),
+            noise_floor_nm: noise.clone(),
+        },
         mismatch: Mismatch {
             detected,
             significance: if detected { (-total_gain.clamp(0.0, 600.0)).exp() } else { 1.0 },
@@ -202,9 +205,8 @@ fn reduction(m: &Material<'_>, without: &Fit, joints: &[usize]) -> Reduction {
     };
     let all: Vec<usize> = (0..a.len()).collect();
     let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(m.seed);
-    let mut draws: Vec<f64> = (0..400)
-        .map(|_| share(&(0..a.len()).map(|_| random.random_range(0..a.len())).collect::<Vec<_>>()))
-        .collect();
+    let mut draws: Vec<f64> =
+        (0..400).map(|_| share(&(0..a.len()).map(|_| random.random_range(0..a.len())).collect::<Vec<_>>())).collect();
     Reduction {
         before_rms_nm: (b.iter().sum::<f64>() / count).sqrt(),
         after_rms_nm: (a.iter().sum::<f64>() / count).sqrt(),
@@ -220,7 +222,8 @@ fn parameters(m: &Material<'_>, ctx: &Context<'_>, i: usize, several: bool) -> V
     let atom = &model.atoms[i];
     let family = &m.search.families[atom.family];
     let slots = model.slots(i);
-    let amplitude: Vec<f64> = if atom.fixed { atom.shape.iter().skip(2).copied().collect() } else { fit.beta[slots.clone()].to_vec() };
+    let amplitude: Vec<f64> =
+        if atom.fixed { atom.shape.iter().skip(2).copied().collect() } else { fit.beta[slots.clone()].to_vec() };
     let values = family.parameters(ctx, atom.joint, &atom.shape, &amplitude);
     let spread = |slot: usize| -> f64 {
         let draws: Vec<f64> = fit.fold_beta.iter().filter_map(|b| b.get(slot).copied()).collect();
@@ -266,14 +269,8 @@ fn curvature(m: &Material<'_>, ctx: &Context<'_>, i: usize, shape: usize) -> f64
         Some(m.search.score(&model, &state, &[&moved])?.gain)
     };
     // The state's weights are those of the larger residual without the term; put the scale right.
-    let scale = m
-        .selection
-        .state
-        .weights
-        .iter()
-        .zip(&state.weights)
-        .map(|(a, b)| a / b.max(1e-300))
-        .fold(1.0, f64::max);
+    let scale =
+        m.selection.state.weights.iter().zip(&state.weights).map(|(a, b)| a / b.max(1e-300)).fold(1.0, f64::max);
     let step = 0.03;
     match (at(1.0), at(1.0 + step), at(1.0 - step)) {
         (Some(c), Some(a), Some(b)) => {
@@ -293,7 +290,12 @@ fn intervals(m: &Material<'_>, atom: &Atom) -> Vec<(String, f64, f64)> {
         times.push((t_0, t_0 + duration));
     }
     let file = |t: f64| {
-        m.scene.pieces.iter().rev().find(|p| t >= p.global_s - 0.1).map(|p| (m.scene.names[p.recording].clone(), p.global_s - p.t0_s))
+        m.scene
+            .pieces
+            .iter()
+            .rev()
+            .find(|p| t >= p.global_s - 0.1)
+            .map(|p| (m.scene.names[p.recording].clone(), p.global_s - p.t0_s))
     };
     times.into_iter().filter_map(|(a, b)| file(a).map(|(name, zero)| (name, a - zero, b - zero))).collect()
 }
@@ -310,7 +312,12 @@ fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[
     let excess: f64 = (0..n).map(|j| (before_rms[j].powi(2) - noise[j].powi(2)).max(0.0) * count(j)).sum();
     let taken = |j: usize| (rest.before[j] - rest.after[j]).max(0.0);
     let share = ((0..n).map(taken).sum::<f64>() / excess.max(1e-30)).min(1.0);
-    let worst = (0..n).max_by(|a, b| (taken(*a) / m.search.limits.floor_nm[*a].powi(2)).total_cmp(&(taken(*b) / m.search.limits.floor_nm[*b].powi(2)))).unwrap_or(0);
+    let worst = (0..n)
+        .max_by(|a, b| {
+            (taken(*a) / m.search.limits.floor_nm[*a].powi(2))
+                .total_cmp(&(taken(*b) / m.search.limits.floor_nm[*b].powi(2)))
+        })
+        .unwrap_or(0);
     let size = (taken(worst) / count(worst)).sqrt();
     let own = taken(worst) / ((before_rms[worst].powi(2) - noise[worst].powi(2)).max(1e-30) * count(worst));
     // Or: nothing explains most of what is there, not even the black box.
@@ -329,7 +336,16 @@ fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[
     let worst = if by_box { worst } else { most };
     let size = if by_box { size } else { (rest.before[worst] / count(worst) - noise[worst].powi(2)).max(0.0).sqrt() };
     if !flag {
-        return (Unknown { flag, share: share.min(0.4) * f64::from(u8::from(size > m.search.limits.floor_nm[worst])), r#where: None, map: None, expression: None }, None);
+        return (
+            Unknown {
+                flag,
+                share: share.min(0.4) * f64::from(u8::from(size > m.search.limits.floor_nm[worst])),
+                r#where: None,
+                map: None,
+                expression: None,
+            },
+            None,
+        );
     }
     let residual = m.search.residual(&m.selection.model, &m.selection.state);
     let found = m.search.map(ctx, &residual, worst);
@@ -344,7 +360,9 @@ fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[
     };
     let before = (rest.before[worst] / count(worst)).sqrt();
     let after = (rest.after[worst].min(rest.before[worst]) / count(worst)).sqrt();
-    let region = found.as_ref().map_or_else(String::new, |f| format!(", mostly at {} {:.3} to {:.3}", f.2.variable, f.2.low, f.2.high));
+    let region = found
+        .as_ref()
+        .map_or_else(String::new, |f| format!(", mostly at {} {:.3} to {:.3}", f.2.variable, f.2.low, f.2.high));
     let finding = Finding {
         effect: "unknown".into(),
         joints: vec![joint.clone()],
@@ -359,7 +377,12 @@ fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[
             if by_box { "a black box predicts it" } else { "a black box does not predict it either" }
         ),
         parameters: Vec::new(),
-        held_out: Reduction { before_rms_nm: before, after_rms_nm: after, reduction: 1.0 - after / before.max(1e-30), ci95: [0.0, 1.0] },
+        held_out: Reduction {
+            before_rms_nm: before,
+            after_rms_nm: after,
+            reduction: 1.0 - after / before.max(1e-30),
+            ci95: [0.0, 1.0],
+        },
         stage: "friction".into(),
         intervals_s: Vec::new(),
     };
@@ -404,7 +427,11 @@ fn next_experiment(findings: &[Finding]) -> Option<NextExperiment> {
     let group = findings.iter().find(|f| f.group.len() > 1)?;
     Some(NextExperiment {
         separate: group.group.clone(),
-        words: format!("{}; positions and torques in motion alone cannot separate {}", advice(&group.effect), group.group.join(" and ")),
+        words: format!(
+            "{}; positions and torques in motion alone cannot separate {}",
+            advice(&group.effect),
+            group.group.join(" and ")
+        ),
     })
 }
 
@@ -415,7 +442,9 @@ fn advice(effect: &str) -> &'static str {
         "rotor_inertia" | "arm_inertia" => "repeat with a known mass on the arm, or with the arm taken off the gear",
         "gravity_spring" | "cable_spring" | "base_tilt" => "move slowly over the whole range of every joint",
         "encoder_offset" | "link_length" => "visit the corners of the workspace slowly, then fast",
-        "elasticity" | "backlash" | "torque_delay" => "shake each joint with a chirp through its resonance, at two amplitudes",
+        "elasticity" | "backlash" | "torque_delay" => {
+            "shake each joint with a chirp through its resonance, at two amplitudes"
+        }
         "presliding" => "make reversals of a few milliradians",
         _ => "record motions over the whole range of positions and speeds",
     }
@@ -447,8 +476,11 @@ fn model_file(m: &Material<'_>, ctx: &Context<'_>, after_rms: Vec<f64>) -> Model
     }
     for (i, atom) in selection.model.atoms.iter().enumerate() {
         let family = &m.search.families[atom.family];
-        let amplitude: Vec<f64> =
-            if atom.fixed { atom.shape.iter().skip(2).copied().collect() } else { selection.state.fit.beta[selection.model.slots(i)].to_vec() };
+        let amplitude: Vec<f64> = if atom.fixed {
+            atom.shape.iter().skip(2).copied().collect()
+        } else {
+            selection.state.fit.beta[selection.model.slots(i)].to_vec()
+        };
         let joints: Vec<String> = family.joints(atom.joint).iter().map(|j| m.scene.robot.joints[*j].clone()).collect();
         let parameters = family.parameters(ctx, atom.joint, &atom.shape, &amplitude);
         let term = Term { effect: family.id().to_owned(), joints, parameters };

@@ -214,13 +214,13 @@ impl Scene {
         self.rate_hz / self.stride as f64
     }
 
-    /// The same recordings and folds with other torques is never needed; other masks are.
+    /// Whole recordings as folds; too few of them are cut.
     fn make_folds(&self, recordings: usize) -> Vec<Range<usize>> {
         let mut whole: Vec<Range<usize>> = Vec::new();
         for r in 0..recordings {
             let mut own = self.pieces.iter().filter(|p| p.recording == r);
             if let Some(first) = own.next() {
-                let end = own.last().map_or(first.rows.end, |p| p.rows.end);
+                let end = own.next_back().map_or(first.rows.end, |p| p.rows.end);
                 whole.push(first.rows.start..end);
             }
         }
@@ -322,11 +322,16 @@ impl Scene {
 
     /// Column of one joint from a function of piece and sample.
     pub fn joint_column(&self, j: usize, f: impl Fn(&Piece, usize) -> f64) -> Column {
-        self.column(self.pieces.iter().map(|p| {
-            let mut out = vec![Vec::new(); self.joints];
-            out[j] = (0..p.len()).map(|k| f(p, k)).collect();
-            out
-        }).collect())
+        self.column(
+            self.pieces
+                .iter()
+                .map(|p| {
+                    let mut out = vec![Vec::new(); self.joints];
+                    out[j] = (0..p.len()).map(|k| f(p, k)).collect();
+                    out
+                })
+                .collect(),
+        )
     }
 
     /// Column of all joints from a function of piece and sample that writes one value per joint.
@@ -396,6 +401,19 @@ impl Scene {
     }
 }
 
+/// A constant of one at joint `j`, full rate.
+pub fn constant(scene: &Scene, j: usize) -> Raw {
+    scene
+        .pieces
+        .iter()
+        .map(|p| {
+            let mut out = vec![Vec::new(); scene.joints];
+            out[j] = vec![1.0; p.len()];
+            out
+        })
+        .collect()
+}
+
 fn common_rate(recordings: &[Recording]) -> Result<f64, BadInput> {
     let mut rates: Vec<f64> = recordings.iter().filter_map(Recording::median_period_s).map(|dt| 1.0 / dt).collect();
     let rate = stats::median_in_place(&mut rates);
@@ -426,7 +444,9 @@ fn cut(
     }
     let column = |name: &String| recording.extra.get(name).cloned();
     let temperature: Vec<Vec<f64>> = match robot.columns.temperature.as_slice() {
-        [] => (1..=joints).filter_map(|j| column(&format!("temp{j}")).or_else(|| column(&format!("x_temp{j}")))).collect(),
+        [] => {
+            (1..=joints).filter_map(|j| column(&format!("temp{j}")).or_else(|| column(&format!("x_temp{j}")))).collect()
+        }
         names => names.iter().filter_map(column).collect(),
     };
     let temperature = if temperature.len() == joints { temperature } else { Vec::new() };
@@ -441,8 +461,7 @@ fn cut(
             continue;
         }
         let grid = regular_grid(*first, *last, 1.0 / rate_hz);
-        let even = t.len() == grid.len()
-            && t.iter().zip(&grid).all(|(a, b)| (a - b).abs() < 0.02 / rate_hz);
+        let even = t.len() == grid.len() && t.iter().zip(&grid).all(|(a, b)| (a - b).abs() < 0.02 / rate_hz);
         let fit = |x: &[f64], how| -> Result<Vec<f64>, BadInput> {
             let x = &x[range.clone()];
             if even {
@@ -513,13 +532,17 @@ fn inertia_of(body: &dyn RigidBody, pi: &[f64], pieces: &[Piece], j: usize, rate
     if a.is_ok() && b.is_ok() && with[j] - without[j] > 1e-9 {
         return with[j] - without[j];
     }
-    let tau: Vec<f64> = pieces.iter().flat_map(|p| p.tau[j].iter().copied()).collect();
-    // Second differences over a tenth of a second: slow enough to be motion rather than noise.
+    // The slope of the torque over second differences of a tenth of a second, slow enough to be motion rather
+    // than noise. Gravity and friction bias it; a band needs no more than its order of magnitude.
     let step = ((0.1 * rate_hz).round() as usize).max(1);
-    let mut bend = Vec::new();
+    let (mut up, mut down) = (0.0, 0.0);
     for p in pieces {
-        bend.extend(p.q[j].windows(2 * step + 1).map(|w| w[0] + w[2 * step] - 2.0 * w[step]));
+        let mean = stats::mean(&p.tau[j]);
+        for (w, tau) in p.q[j].windows(2 * step + 1).zip(&p.tau[j][step.min(p.len())..]) {
+            let bend = (w[0] + w[2 * step] - 2.0 * w[step]) * (rate_hz / step as f64).powi(2);
+            up += bend * (tau - mean);
+            down += bend * bend;
+        }
     }
-    let acceleration = stats::rms(&bend) * (rate_hz / step as f64).powi(2);
-    stats::standard_deviation(&tau) / acceleration.max(1e-9)
+    (up / f64::max(down, 1e-30)).abs().max(1e-12)
 }

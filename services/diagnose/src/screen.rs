@@ -126,7 +126,13 @@ fn swing(link: &Link, shape: &Shape, dt: f64) -> Vec<f64> {
             let d = 2.0 * zeta * (k * m).sqrt();
             let before = v;
             for _ in 0..SUBSTEPS {
-                let depth = if e > b { e - b } else if e < -b { e + b } else { 0.0 };
+                let depth = if e > b {
+                    e - b
+                } else if e < -b {
+                    e + b
+                } else {
+                    0.0
+                };
                 let contact = if depth == 0.0 { 0.0 } else { k * depth + d * v };
                 v += h * (f - contact) / m;
                 e += h * v;

@@ -89,8 +89,7 @@ impl Model {
 
     /// Where the coefficients of atom `index` are.
     pub fn slots(&self, index: usize) -> std::ops::Range<usize> {
-        let start = self.base.len() - self.clamped.len()
-            + self.atoms[..index].iter().map(Atom::width).sum::<usize>();
+        let start = self.base.len() - self.clamped.len() + self.atoms[..index].iter().map(Atom::width).sum::<usize>();
         start..start + self.atoms[index].width()
     }
 }
@@ -167,9 +166,7 @@ impl<'a> Search<'a> {
             .folds
             .iter()
             .map(|f| {
-                (0..scene.joints)
-                    .map(|j| scene.mask[j][f.clone()].iter().filter(|m| **m).count() as f64)
-                    .collect()
+                (0..scene.joints).map(|j| scene.mask[j][f.clone()].iter().filter(|m| **m).count() as f64).collect()
             })
             .collect();
         let layout = Layout { folds: scene.folds.clone(), joints: scene.joints, count };
@@ -333,7 +330,9 @@ impl<'a> Search<'a> {
             .held_out
             .iter()
             .zip(&new.held_out)
-            .filter(|(a, b)| a.iter().zip(b.iter()).zip(&state.weights).map(|((a, b), w)| w * (a - b)).sum::<f64>() > 0.0)
+            .filter(|(a, b)| {
+                a.iter().zip(b.iter()).zip(&state.weights).map(|((a, b), w)| w * (a - b)).sum::<f64>() > 0.0
+            })
             .count();
         Score { gain, amplitude, size_nm, folds: better as f64 / old.held_out.len().max(1) as f64 }
     }
@@ -357,11 +356,9 @@ impl<'a> Search<'a> {
         let bounds: Vec<Option<(f64, f64)>> =
             family.shapes(ctx, atom.joint).unwrap_or_default().into_iter().map(|s| s.bounds).collect();
         let mut best = atom.clone();
-        let value = |a: &Atom| {
-            match self.score(model, state, &[a]) {
-                Some(s) if family.admissible(ctx, &a.shape, &s.amplitude) => s.gain,
-                _ => f64::NEG_INFINITY,
-            }
+        let value = |a: &Atom| match self.score(model, state, &[a]) {
+            Some(s) if family.admissible(ctx, &a.shape, &s.amplitude) => s.gain,
+            _ => f64::NEG_INFINITY,
         };
         let mut best_value = value(&best);
         let mut spread = if family.driven { 1.12f64 } else { 1.6 };
@@ -421,9 +418,7 @@ impl<'a> Search<'a> {
 
     /// Builds candidates in parallel; order is kept.
     pub fn build(&self, ctx: &Context<'_>, list: Vec<(usize, usize, Vec<f64>)>) -> Vec<Atom> {
-        list.into_par_iter()
-            .map(|(f, j, shape)| Atom { raws: Vec::new(), ..self.atom(ctx, f, j, &shape) })
-            .collect()
+        list.into_par_iter().map(|(f, j, shape)| Atom { raws: Vec::new(), ..self.atom(ctx, f, j, &shape) }).collect()
     }
 }
 

@@ -69,7 +69,13 @@ pub struct Rivals {
 }
 
 /// Facts about the recordings that candidates need, with the present model's torque.
-pub fn context<'a>(scene: &'a Scene, base: &Base, search: &Search<'_>, model: &Model, state: Option<&State>) -> Context<'a> {
+pub fn context<'a>(
+    scene: &'a Scene,
+    base: &Base,
+    search: &Search<'_>,
+    model: &Model,
+    state: Option<&State>,
+) -> Context<'a> {
     let mut predicted = base.nominal.clone();
     let mut link = base.nominal.clone();
     if let Some(state) = state {
@@ -81,6 +87,11 @@ pub fn context<'a>(scene: &'a Scene, base: &Base, search: &Search<'_>, model: &M
             if matches!(column.role, BaseRole::Parameter(_) | BaseRole::Tolerance(_)) {
                 add(&mut link, &column.raw, beta);
             }
+        }
+        if !base.nominal_base {
+            let rigid = scene.rigid_raw(scene.body.as_ref(), &free_parameters(scene, model, state));
+            add(&mut predicted, &rigid, 1.0);
+            add(&mut link, &rigid, 1.0);
         }
         for (i, value) in &model.clamped {
             add(&mut predicted, &model.base[*i].raw, *value);
@@ -130,6 +141,19 @@ pub fn context<'a>(scene: &'a Scene, base: &Base, search: &Search<'_>, model: &M
         inertia,
         rotor,
     }
+}
+
+/// Dynamic parameters of a freely fitted base; those that were not fitted are 0.
+fn free_parameters(scene: &Scene, model: &Model, state: &State) -> Vec<f64> {
+    let mut pi = vec![0.0; scene.pi.len()];
+    for (slot, i) in model.free_base().into_iter().enumerate() {
+        if let BaseRole::Parameter(symbol) = &model.base[i].role
+            && let Some(at) = scene.body.parameters().iter().position(|p| &p.symbol == symbol)
+        {
+            pi[at] = state.fit.beta[slot];
+        }
+    }
+    pi
 }
 
 fn rotor_inertia(scene: &Scene) -> Vec<f64> {
@@ -190,8 +214,11 @@ impl Search<'_> {
                     && (m.shape == a.shape || family.refinable(ctx, m.joint) || m.shape.is_empty())
             })
         };
-        let single: Vec<Ranked> =
-            pool.par_iter().filter(|a| !taken(a)).filter_map(|a| self.rank(ctx, model, state, vec![a.clone()])).collect();
+        let single: Vec<Ranked> = pool
+            .par_iter()
+            .filter(|a| !taken(a))
+            .filter_map(|a| self.rank(ctx, model, state, vec![a.clone()]))
+            .collect();
         let mut all = single;
         if self.scene.joints > 1 {
             all.extend(self.whole_robot(ctx, model, state, &all, &taken));
@@ -232,7 +259,14 @@ impl Search<'_> {
     }
 
     /// Puts terms that an earlier run found into the model.
-    fn plant(&self, ctx: &Context<'_>, base: &Base, seeds: &[Seed], model: &mut Model, state: &mut State) -> Option<()> {
+    fn plant(
+        &self,
+        ctx: &Context<'_>,
+        base: &Base,
+        seeds: &[Seed],
+        model: &mut Model,
+        state: &mut State,
+    ) -> Option<()> {
         for seed in seeds {
             let mut atom = self.atom(ctx, seed.family, seed.joint, &seed.shape);
             if !seed.carries.is_empty() {
@@ -315,8 +349,7 @@ impl Search<'_> {
             }
             let rest = self.fit(&mut without)?;
             let ctx = context(self.scene, base, self, &without, Some(&rest));
-            let mut pool: Vec<Atom> =
-                fixed.iter().filter(|a| self.families[a.family].id() != id).cloned().collect();
+            let mut pool: Vec<Atom> = fixed.iter().filter(|a| self.families[a.family].id() != id).cloned().collect();
             let dynamic = self.candidates(&ctx, |f| f.dynamic && !f.driven && f.id() != id);
             pool.extend(self.build(&ctx, dynamic));
             let own = self.rank(&ctx, &without, &rest, own);
@@ -389,9 +422,7 @@ impl Search<'_> {
         for (f, family) in self.families.iter().enumerate().filter(|(_, f)| f.driven) {
             for j in &joints {
                 let shapes = match family.id() {
-                    "backlash" if ctx.inertia[*j] > 0.0 && ctx.nominal_base => {
-                        self.screen_backlash(ctx, &residual, *j)
-                    }
+                    "backlash" if ctx.inertia[*j] > 0.0 && ctx.nominal_base => self.screen_backlash(ctx, &residual, *j),
                     "backlash" => Vec::new(),
                     _ => family.grid(ctx, *j),
                 };
@@ -503,19 +534,6 @@ impl Search<'_> {
         self.prune(&mut model, &mut state, progress)?;
         progress(0.75, "trying what else could explain it");
         let rivals = self.swap(base, &fixed, &mut model, &mut state, progress)?;
-        if let Ok(path) = std::env::var("DUMP") {
-            let r = self.residual(&model, &state);
-            let mut text = String::new();
-            for row in 0..self.scene.rows {
-                let (p, k) = self.scene.place(row)?;
-                text += &format!("{} {} ", p.recording, k);
-                for j in 0..self.scene.joints {
-                    text += &format!("{} {} {} {} ", r.part[j][row], p.q[j][k], p.qd[j][k], u8::from(self.scene.mask[j][row]));
-                }
-                text += "\n";
-            }
-            let _ = std::fs::write(path, text);
-        }
         Some(Selection { model, state, rivals, blank: Vec::new(), excluded })
     }
 
@@ -531,7 +549,16 @@ impl Search<'_> {
         for (i, v) in &model.clamped {
             values.push(format!("{:?} held at {v}", model.base[*i].role));
         }
-        progress(0.15, &format!("band {:.1} Hz, slow {:.3?}, residual {rms:.4?} Nm, independent {:.3?}; {}", self.scene.band_hz, self.scene.slow_rad_s, state.independent, values.join(", ")));
+        progress(
+            0.15,
+            &format!(
+                "band {:.1} Hz, slow {:.3?}, residual {rms:.4?} Nm, independent {:.3?}; {}",
+                self.scene.band_hz,
+                self.scene.slow_rad_s,
+                state.independent,
+                values.join(", ")
+            ),
+        );
     }
 
     /// Dynamic terms are made anew with the present model's torque; all shapes are refined once more.
@@ -578,6 +605,9 @@ impl Search<'_> {
     }
 
     fn numbers(&self, r: &Ranked) -> String {
-        format!("merit {:.1} gain {:.1} nm {:.3?} folds {:.2} amp {:.4?}", r.merit, r.score.gain, r.score.size_nm, r.score.folds, r.score.amplitude)
+        format!(
+            "merit {:.1} gain {:.1} nm {:.3?} folds {:.2} amp {:.4?}",
+            r.merit, r.score.gain, r.score.size_nm, r.score.folds, r.score.amplitude
+        )
     }
 }

@@ -59,7 +59,8 @@ impl Search<'_> {
     /// What boosting takes off `residual` on folds it was not fitted to.
     pub fn black_box(&self, ctx: &Context<'_>, residual: &Column) -> Explained {
         let n = self.scene.joints;
-        let features: Vec<Binned> = (0..n).into_par_iter().map(|j| Binned::new(&self.features(ctx, j).values)).collect();
+        let features: Vec<Binned> =
+            (0..n).into_par_iter().map(|j| Binned::new(&self.features(ctx, j).values)).collect();
         let folds = &self.scene.folds;
         let jobs: Vec<(usize, usize)> = (0..n).flat_map(|j| (0..folds.len()).map(move |f| (j, f))).collect();
         let results: Vec<(usize, f64, f64)> = jobs
@@ -67,8 +68,7 @@ impl Search<'_> {
             .map(|(j, f)| {
                 let y = &residual.part[j];
                 let mask = &self.scene.mask[j];
-                let train: Vec<usize> =
-                    (0..self.scene.rows).filter(|r| mask[*r] && !folds[f].contains(r)).collect();
+                let train: Vec<usize> = (0..self.scene.rows).filter(|r| mask[*r] && !folds[f].contains(r)).collect();
                 let p = fit_predict(&features[j], y, &train, &Settings::default());
                 let (mut before, mut after) = (0.0, 0.0);
                 for r in folds[f].clone().filter(|r| mask[*r]) {

@@ -54,8 +54,14 @@ pub fn sentence(f: &Finding, unit: &str) -> String {
             v("v_s")
         ),
         "viscous_power" => format!("{who}: drag does not grow in proportion to speed but with its power {}", v("p")),
-        "load_friction" => format!("{who}: friction grows with the load, by {} of the link torque", value(f, "mu").unwrap_or_else(|| v("mu_v"))),
-        "thermal_viscous" => format!("{who}: viscous friction falls as the drive warms up ({})", value(f, "b").unwrap_or_else(|| v("b_T"))),
+        "load_friction" => format!(
+            "{who}: friction grows with the load, by {} of the link torque",
+            value(f, "mu").unwrap_or_else(|| v("mu_v"))
+        ),
+        "thermal_viscous" => format!(
+            "{who}: viscous friction falls as the drive warms up ({})",
+            value(f, "b").unwrap_or_else(|| v("b_T"))
+        ),
         "presliding" => format!("{who}: after a reversal friction builds up over {} instead of jumping", v("delta")),
         "backlash" => format!("{who} {} play: a half gap of {} behind the encoder", s("has", "have"), v("b")),
         "cogging" => {
@@ -64,17 +70,42 @@ pub fn sentence(f: &Finding, unit: &str) -> String {
             format!("{who}: torque ripples with the motor's turns, at order {} per revolution", orders.join(", "))
         }
         "elasticity" => format!("{who} {} soft: {} between motor and link", s("is", "are"), v("k")),
-        "rotor_inertia" => format!("{who} {} more inertia than the model by {}: rotor or arm, not separable from these signals", s("carries", "carry"), v("J")),
-        "arm_inertia" => format!("{who}: the arm's inertia and centre of mass differ from the model (I {}, m_1 {})", v("I"), v("m_1")),
-        "gravity_spring" => format!("{who}: a torque like a counterbalance or a shifted centre of mass (sin {}, cos {})", v("a_s"), v("a_c")),
-        "cable_spring" => format!("{who}: something pulls back like a spring, stiffer the further it goes (k_1 {}, k_3 {})", v("k_1"), v("k_3")),
-        "axis_coupling" => format!("{who}: the second joint's motor is felt on the first (inertia {}, viscous {}, Coulomb {})", v("J"), v("f_v"), v("f_c")),
-        "forearm_rod" => format!("The forearms are rods, not points at their ends (Δs_1 {}, Δs_2 {})", v("ds_1"), v("ds_2")),
+        "rotor_inertia" => format!(
+            "{who} {} more inertia than the model by {}: rotor or arm, not separable from these signals",
+            s("carries", "carry"),
+            v("J")
+        ),
+        "arm_inertia" => format!(
+            "{who}: the arm's inertia and centre of mass differ from the model (I {}, m_1 {})",
+            v("I"),
+            v("m_1")
+        ),
+        "gravity_spring" => format!(
+            "{who}: a torque like a counterbalance or a shifted centre of mass (sin {}, cos {})",
+            v("a_s"),
+            v("a_c")
+        ),
+        "cable_spring" => format!(
+            "{who}: something pulls back like a spring, stiffer the further it goes (k_1 {}, k_3 {})",
+            v("k_1"),
+            v("k_3")
+        ),
+        "axis_coupling" => format!(
+            "{who}: the second joint's motor is felt on the first (inertia {}, viscous {}, Coulomb {})",
+            v("J"),
+            v("f_v"),
+            v("f_c")
+        ),
+        "forearm_rod" => {
+            format!("The forearms are rods, not points at their ends (Δs_1 {}, Δs_2 {})", v("ds_1"), v("ds_2"))
+        }
         "kt_scale" => format!("{who}: the drive's torque constant is off; it reports {} too much", v("g")),
         "base_tilt" => format!("The base is tilted by {} and {}", v("tilt_1"), v("tilt_2")),
         "encoder_offset" => format!("{who} {} homed {} off", s("was", "were"), v("q_0")),
         "link_length" => format!("{who}: the link's length is off by {}", value(f, "dl").unwrap_or_else(|| v("dl_2"))),
-        "payload" if f.intervals_s.is_empty() => format!("The robot carries {} more than the model at platform or tip", v("m")),
+        "payload" if f.intervals_s.is_empty() => {
+            format!("The robot carries {} more than the model at platform or tip", v("m"))
+        }
         "payload" => format!("The robot carries {} from time to time ({} carries)", v("m"), f.intervals_s.len()),
         "torque_delay" => format!("The torque signal is late by {} against the position", v("D")),
         "torque_saturation" => format!("{who}: above {} the drive reports more torque than it gives", v("tau_k")),
@@ -93,10 +124,7 @@ pub fn sentence(f: &Finding, unit: &str) -> String {
 
 /// The verdict of all findings.
 pub fn verdict(f: &Findings) -> String {
-    let left = format!(
-        "Relative error on held-out recordings {:.1} %",
-        100.0 * f.held_out.relative_after
-    );
+    let left = format!("Relative error on held-out recordings {:.1} %", 100.0 * f.held_out.relative_after);
     match f.findings.as_slice() {
         [] => format!(
             "The model with viscous and Coulomb friction is complete within noise and the robot file's tolerances. {left}."
@@ -105,9 +133,20 @@ pub fn verdict(f: &Findings) -> String {
         [first, rest @ ..] => {
             let names: Vec<String> = rest
                 .iter()
-                .map(|r| format!("{}{}", r.effect, if r.joints.is_empty() { String::new() } else { format!(" ({})", r.joints.join(", ")) }))
+                .map(|r| {
+                    format!(
+                        "{}{}",
+                        r.effect,
+                        if r.joints.is_empty() { String::new() } else { format!(" ({})", r.joints.join(", ")) }
+                    )
+                })
                 .collect();
-            format!("{} Also: {}; {left} (before: {:.1} %).", first.sentence, names.join("; "), 100.0 * f.held_out.relative_before)
+            format!(
+                "{} Also: {}; {left} (before: {:.1} %).",
+                first.sentence,
+                names.join("; "),
+                100.0 * f.held_out.relative_before
+            )
         }
     }
 }

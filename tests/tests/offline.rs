@@ -56,6 +56,7 @@ fn identify(bench: &Bench, out: &str, args: &[&str]) -> Output {
 fn the_demo_is_identified_and_three_files_are_written() {
     let bench = Bench::new();
     ok(&bench.lacuna(&["simulate", "--demo", "--out", "demo", "--truth", "truth.json"]));
+    refused(&bench.lacuna(&["simulate", "--demo", "--out", "demo"]), &["demo/free", "13 recordings", "--overwrite"]);
     let recordings: Vec<String> = (1..=13).map(|k| format!("demo/free/traj_{k:02}.csv")).collect();
     let mut args = vec!["identify", "--robot", "demo/robot.toml", "--out", "out"];
     args.extend(recordings.iter().map(String::as_str));

@@ -67,7 +67,7 @@ pub fn diagnose(args: &DiagnoseArgs) -> CommandResult {
         words::print_json(&outcome.findings)?;
     } else {
         let files = words::files(&args.out, &["findings.json", "model.toml", "report.html"]);
-        words::say(&(summary(&outcome.findings, options.robot.torque_unit.symbol()) + &files));
+        words::say(&(summary(&outcome.findings, options.robot.torque_unit.symbol()) + &files))?;
     }
     Ok(ExitCode::SUCCESS)
 }

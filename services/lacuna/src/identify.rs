@@ -139,7 +139,7 @@ pub fn identify(args: &IdentifyArgs) -> CommandResult {
         words::print_json(&outcome.identification)?;
     } else {
         let files = words::files(&args.out, &["model.toml", "identification.json", "report.html"]);
-        words::say(&(summary(&outcome) + &files));
+        words::say(&(summary(&outcome) + &files))?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -226,7 +226,13 @@ fn not_excited(list: &[NotExcited]) -> String {
             None => groups.push((&row.reason, vec![&row.symbol])),
         }
     }
-    let mut out = format!("{} not excited, so not in the model:\n", words::count(list.len(), "parameter"));
+    let kept = list.iter().filter(|row| row.in_model).count();
+    let kept = if kept > 0 {
+        format!(" ({kept} of them stay in the model at values no better than zero)")
+    } else {
+        String::new()
+    };
+    let mut out = format!("{} not supported by these data{kept}:\n", words::count(list.len(), "parameter"));
     let mut others: Vec<&str> = Vec::new();
     let many = groups.len() > REASONS;
     for (reason, symbols) in groups {

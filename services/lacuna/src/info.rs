@@ -130,7 +130,7 @@ pub fn info(args: &InfoArgs) -> CommandResult {
         if let Some(r) = &info.recording {
             text.push_str(&contents_words(r));
         }
-        words::say(&text);
+        words::say(&text)?;
     }
     Ok(ExitCode::SUCCESS)
 }

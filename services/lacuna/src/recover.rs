@@ -66,7 +66,7 @@ pub fn recover(args: &RecoverArgs) -> CommandResult {
     if args.json {
         words::print_json(&report)?;
     } else {
-        words::say(&summary(&report));
+        words::say(&summary(&report))?;
     }
     Ok(ExitCode::SUCCESS)
 }

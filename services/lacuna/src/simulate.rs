@@ -112,6 +112,9 @@ impl CaseArgs {
     }
 }
 
+/// Where the demo's free motions and its pick-and-place go, below the given folder; also their names in its truth.
+const DEMO_FOLDERS: [&str; 2] = ["free", "pick_place"];
+
 /// Recordings that belong together: one folder with its manifest, one truth.
 struct Part {
     /// Folder below the given one; empty for the folder itself.
@@ -137,7 +140,8 @@ struct Written {
 pub fn simulate(args: &SimulateArgs) -> CommandResult {
     words::folder_for(&args.out)?;
     if !args.overwrite {
-        refuse_recordings(&args.out)?;
+        let folders: &[&str] = if args.demo { &DEMO_FOLDERS } else { &[""] };
+        folders.iter().try_for_each(|folder| refuse_recordings(&below(&args.out, folder)))?;
     }
     let progress = Progress::spinner();
     progress.step("simulating");
@@ -145,7 +149,7 @@ pub fn simulate(args: &SimulateArgs) -> CommandResult {
     progress.step("writing");
     let mut recordings = Vec::new();
     for part in &parts {
-        let written = part.simulation.write(&args.out.join(part.folder))?;
+        let written = part.simulation.write(&below(&args.out, part.folder))?;
         recordings.extend(written.into_iter().filter(|p| p.extension().is_some_and(|e| e == "csv")));
     }
     let robot_file = robot_toml.as_ref().map(|_| args.out.join("robot.toml"));
@@ -169,9 +173,14 @@ pub fn simulate(args: &SimulateArgs) -> CommandResult {
     if args.json {
         words::print_json(&written)?;
     } else {
-        words::say(&summary(&written, &args.out));
+        words::say(&summary(&written, &args.out))?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// A folder below another; the folder itself for an empty name, without the slash that a join would add.
+fn below(folder: &Path, name: &str) -> PathBuf {
+    if name.is_empty() { folder.to_path_buf() } else { folder.join(name) }
 }
 
 /// A folder with recordings of another simulation would become a mixture of both.
@@ -210,11 +219,9 @@ fn parts(args: &SimulateArgs) -> Result<(String, Option<String>, Vec<Part>), Fai
         return Ok((loaded.file.name, None, vec![Part { folder: "", simulation }]));
     }
     let demo = demo_delta(args.seed.unwrap_or(1))?;
-    let parts = vec![
-        Part { folder: "free", simulation: demo.free },
-        Part { folder: "pick_place", simulation: demo.pick_place },
-    ];
-    Ok((demo.robot.name, Some(DEMO_ROBOT.to_owned()), parts))
+    let simulations = [demo.free, demo.pick_place];
+    let parts = DEMO_FOLDERS.into_iter().zip(simulations).map(|(folder, simulation)| Part { folder, simulation });
+    Ok((demo.robot.name, Some(DEMO_ROBOT.to_owned()), parts.collect()))
 }
 
 fn config(args: &SimulateArgs, robot: &RobotFile) -> Result<SimulationConfig, BadInput> {

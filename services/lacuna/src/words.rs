@@ -77,18 +77,26 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
 }
 
 /// Prints on standard output. A reader that has gone away (`| head`) is not an error.
-pub fn say(text: &str) {
-    let _ = std::io::stdout().lock().write_all(text.as_bytes());
+///
+/// # Errors
+/// If the operating system refuses, e.g. because the disk is full.
+pub fn say(text: &str) -> Result<(), Failure> {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
+            Err(Failure::run(format!("standard output: cannot be written: {e}")))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Prints a value as JSON on standard output.
 ///
 /// # Errors
-/// If the value cannot be written as JSON.
+/// If the value cannot be written.
 pub fn print_json(value: &impl Serialize) -> Result<(), Failure> {
     let text = serde_json::to_string_pretty(value).map_err(|e| Failure::run(format!("JSON: {e}")))?;
-    say(&(text + "\n"));
-    Ok(())
+    say(&(text + "\n"))
 }
 
 /// A positive option value.

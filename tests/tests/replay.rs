@@ -7,7 +7,7 @@ use lacuna_simulate::config::TrajectoryGroup;
 use lacuna_simulate::demo::DEMO_ROBOT;
 use lacuna_simulate::reference::Kinds;
 use lacuna_simulate::{SimulationConfig, simulate, write_csv};
-use lacuna_tests::{Bench, error_line, report, shared_data, workspace};
+use lacuna_tests::{Bench, error_line, report, shared_data, wait_for, workspace};
 use rustix::process::{Pid, Signal, kill_process};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -277,6 +277,27 @@ fn a_killed_stage_leaves_a_readable_incomplete_recording() {
     let robot = RobotFile::parse(DEMO_ROBOT).expect("robot");
     let read = lacuna_recording::read_all(&path, &robot).expect("readable up to the kill");
     assert!(read.len() > 800, "only {} samples of about 1500 are there", read.len());
+}
+
+#[test]
+fn a_recorder_killed_in_a_live_run_goes_on_in_a_new_file() {
+    let bench = folder(5.0);
+    let graph = workspace().join("launch/live.toml").display().to_string();
+    let sets = ["recording=run.csv", "robot=robot.toml", "model=model.toml", "out=run.mcap"];
+    let args: Vec<&str> = sets.iter().flat_map(|s| ["--set", s]).collect();
+    let run = bench.up(&graph, &args);
+    run.wait_running();
+    let robot = RobotFile::parse(DEMO_ROBOT).expect("robot");
+    let (first, second) = (bench.path().join("run.mcap"), bench.path().join("run-restart1.mcap"));
+    wait_for("the recording to hold samples", Duration::from_secs(10), || {
+        lacuna_recording::read_all(&first, &robot).ok().filter(|r| r.len() > 500)
+    });
+    kill_process(Pid::from_raw(run.pid("recorder")).expect("pid"), Signal::KILL).expect("kill");
+    let report = report(&run.output());
+    assert_eq!(report["restarts"], 1);
+    assert!(!complete(&first) && complete(&second));
+    let counts = [&first, &second].map(|path| lacuna_recording::read_all(path, &robot).expect("readable").len());
+    assert!(counts.iter().all(|n| *n > 500), "{counts:?}");
 }
 
 #[test]

@@ -5,6 +5,7 @@ use lacuna_interfaces::{BadInput, RobotFile};
 use lacuna_recorder::{Attachment, Config, Recorder, Run, Stream};
 use lacuna_stage::{AnyMessage, Sink, SinkContext, run_sink};
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 /// The file is made with the first sample: a run that fails before leaves none, and replaces none.
@@ -34,6 +35,13 @@ impl Process {
     }
 }
 
+/// `run.mcap` → `run-restart2.mcap`: a recorder that was killed goes on in a new file.
+fn numbered(path: &Path, restarts: u32) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let extension = path.extension().map(|e| format!(".{}", e.to_string_lossy())).unwrap_or_default();
+    path.with_file_name(format!("{stem}-restart{restarts}{extension}"))
+}
+
 fn attachments(context: &SinkContext<'_>) -> Result<Vec<Attachment>, BadInput> {
     let graph = toml::to_string(context.graph).map_err(|e| BadInput::new(format!("graph: {e}")))?;
     let files = [
@@ -55,7 +63,10 @@ fn attachments(context: &SinkContext<'_>) -> Result<Vec<Attachment>, BadInput> {
 impl Sink for Process {
     type Config = Config;
 
-    fn new(config: Config, context: &SinkContext<'_>) -> Result<Self, BadInput> {
+    fn new(mut config: Config, context: &SinkContext<'_>) -> Result<Self, BadInput> {
+        if context.restarts > 0 {
+            config.path = numbered(&config.path, context.restarts);
+        }
         let live = context.mode == Mode::Live;
         config.check(live).map_err(|e| BadInput::new(e.to_string()))?;
         let mut streams = Vec::new();

@@ -94,6 +94,8 @@ pub struct SinkContext<'a> {
     pub graph: &'a GraphFile,
     /// Topics it reads, in the graph's order, each with the name of its message.
     pub topics: &'a [(String, &'static str)],
+    /// How often this node has been restarted in this run: what it wrote before must not be overwritten.
+    pub restarts: u32,
     /// Replay: wait rather than lose. Live: drop and count rather than wait.
     pub mode: Mode,
 }
@@ -144,6 +146,7 @@ fn body<S: Sink>(process: &Process) -> Result<StageReport, Failure> {
         model_text: process.model_text.as_deref(),
         graph: &process.graph,
         topics: &topics,
+        restarts: process.restarts,
         mode: process.graph.mode,
     };
     let mut sink = S::new(process.config()?, &context)?;

@@ -87,6 +87,13 @@ impl Model {
         out
     }
 
+    /// Columns with all tolerances free.
+    pub fn all_columns(&self) -> Vec<&Column> {
+        let mut out: Vec<&Column> = self.base.iter().map(|b| &b.column).collect();
+        out.extend(self.atoms.iter().filter(|a| !a.fixed).flat_map(|a| &a.columns));
+        out
+    }
+
     /// Where the coefficients of atom `index` are.
     pub fn slots(&self, index: usize) -> std::ops::Range<usize> {
         let start = self.base.len() - self.clamped.len() + self.atoms[..index].iter().map(Atom::width).sum::<usize>();
@@ -108,6 +115,14 @@ pub struct State {
     pub target: Column,
     /// Prior precision per column.
     pub precision: Vec<f64>,
+    /// Products with the held tolerances free again; none if none is held.
+    pub soft: Option<Soft>,
+}
+
+/// Products and target with all tolerances free.
+pub struct Soft {
+    gram: Gram,
+    target: Column,
 }
 
 /// How a candidate changes the model.
@@ -193,17 +208,28 @@ impl<'a> Search<'a> {
             model.clamped.sort_by_key(|(i, _)| *i);
             state = self.fit_once(model)?;
         }
+        if !model.clamped.is_empty() {
+            let mut target = state.target.clone();
+            for (i, value) in &model.clamped {
+                subtract(&mut target, &model.base[*i].column, -value);
+            }
+            state.soft = Some(Soft { gram: Gram::new(&self.layout, &target, &model.all_columns()), target });
+        }
         Some(state)
     }
 
     /// Prior precision of the columns of `model`.
     pub(crate) fn precision(&self, model: &Model, more: &[&Atom]) -> Vec<f64> {
+        self.precision_of(model, &model.free_base(), more)
+    }
+
+    /// Prior precision with these base columns free.
+    fn precision_of(&self, model: &Model, base: &[usize], more: &[&Atom]) -> Vec<f64> {
         let late = |a: &Atom| self.families[a.family].id() == "torque_delay";
         let delayed = model.atoms.iter().any(late) || more.iter().any(|a| late(a));
-        let mut out: Vec<f64> = model
-            .free_base()
-            .into_iter()
-            .map(|i| match &model.base[i].role {
+        let mut out: Vec<f64> = base
+            .iter()
+            .map(|i| match &model.base[*i].role {
                 // One delay at a time: beside the effect the half sample of tolerance would fit differences of both.
                 BaseRole::Tolerance(name) if name == DELAY && delayed => 1e12,
                 BaseRole::Tolerance(_) => TOLERANCE_SD.powi(-2),
@@ -243,7 +269,7 @@ impl<'a> Search<'a> {
             }
             fit = gram.fit(&self.layout, &weights, &precision)?;
         }
-        Some(State { gram, fit, weights, independent, target, precision })
+        Some(State { gram, fit, weights, independent, target, precision, soft: None })
     }
 
     /// Share of rows that are independent, from the autocorrelation of the residual.
@@ -273,45 +299,51 @@ impl<'a> Search<'a> {
         (1.0 / time).max(LEAST_INDEPENDENT)
     }
 
-    /// What `columns` would add to the fitted model.
+    /// What `atoms` would add to the fitted model.
+    ///
+    /// Tolerances that were held at their limit may go back within it beside the candidate: what pushed them
+    /// there may be what the candidate explains. Where they would not go back they stay held.
     pub fn score(&self, model: &Model, state: &State, atoms: &[&Atom]) -> Option<Score> {
-        let mut have = vec![&state.target];
-        have.extend(model.columns());
-        let free: Vec<&Column> = atoms.iter().filter(|a| !a.fixed).flat_map(|a| &a.columns).collect();
-        let fixed: Vec<&Column> = atoms.iter().filter(|a| a.fixed).flat_map(|a| &a.columns).collect();
-        let mut columns = free.clone();
-        columns.extend(&fixed);
-        let mut gram = match self.freed_of_delay(model, state, atoms) {
-            Some(target) => Gram::new(&self.layout, &target, &model.columns()).extended(
-                &self.layout,
-                &std::iter::once(&target).chain(model.columns()).collect::<Vec<_>>(),
-                &columns,
-            ),
-            None => state.gram.extended(&self.layout, &have, &columns),
-        };
-        let size = state.fit.beta.len() + columns.len();
-        for slot in (size - fixed.len()..size).rev() {
-            gram = gram.absorbed(slot);
+        let own = atoms.iter().map(|a| a.width()).sum::<usize>();
+        if let Some(soft) = &state.soft {
+            let all: Vec<usize> = (0..model.base.len()).collect();
+            let fit = self.fit_with(&model.all_columns(), (&soft.gram, &soft.target), (model, &all), state, atoms)?;
+            let within =
+                |(i, b): (usize, &f64)| !matches!(model.base[i].role, BaseRole::Tolerance(_)) || b.abs() < 1.05;
+            if fit.beta.iter().enumerate().take(model.base.len()).all(within) {
+                let amplitude = fit.beta[fit.beta.len() - own..].to_vec();
+                return Some(self.compare(state, &state.fit, &fit, amplitude));
+            }
         }
-        let mut precision = self.precision(model, atoms);
-        precision.extend(free.iter().map(|_| 0.0));
-        let fit = gram.fit(&self.layout, &state.weights, &precision)?;
-        let amplitude = fit.beta[state.fit.beta.len()..].to_vec();
+        let free = model.free_base();
+        let fit = self.fit_with(&model.columns(), (&state.gram, &state.target), (model, &free), state, atoms)?;
+        let amplitude = fit.beta[fit.beta.len() - own..].to_vec();
         Some(self.compare(state, &state.fit, &fit, amplitude))
     }
 
-    /// The target with the delay that the tolerance took given back, where a delay itself is to be judged.
-    fn freed_of_delay(&self, model: &Model, state: &State, atoms: &[&Atom]) -> Option<Column> {
-        if !atoms.iter().any(|a| self.families[a.family].id() == "torque_delay") {
-            return None;
+    /// Fit of `columns` (whose products are `gram`) and `atoms` together.
+    fn fit_with(
+        &self,
+        columns: &[&Column],
+        (gram, target): (&Gram, &Column),
+        (model, base): (&Model, &[usize]),
+        state: &State,
+        atoms: &[&Atom],
+    ) -> Option<Fit> {
+        let mut have = vec![target];
+        have.extend(columns);
+        let free: Vec<&Column> = atoms.iter().filter(|a| !a.fixed).flat_map(|a| &a.columns).collect();
+        let fixed: Vec<&Column> = atoms.iter().filter(|a| a.fixed).flat_map(|a| &a.columns).collect();
+        let mut more = free.clone();
+        more.extend(&fixed);
+        let mut gram = gram.extended(&self.layout, &have, &more);
+        let size = columns.len() + more.len();
+        for slot in (size - fixed.len()..size).rev() {
+            gram = gram.absorbed(slot);
         }
-        let (i, value) = model
-            .clamped
-            .iter()
-            .find(|(i, _)| matches!(&model.base[*i].role, BaseRole::Tolerance(name) if name == DELAY))?;
-        let mut target = state.target.clone();
-        subtract(&mut target, &model.base[*i].column, -value);
-        Some(target)
+        let mut precision = self.precision_of(model, base, atoms);
+        precision.extend(free.iter().map(|_| 0.0));
+        gram.fit(&self.layout, &state.weights, &precision)
     }
 
     /// Gain of `new` over `old`.

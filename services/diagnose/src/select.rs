@@ -36,8 +36,17 @@ pub struct Selection {
 
 /// How much better a rival must be to take an effect's place [nats].
 const SWAP_NATS: f64 = 8.0;
+/// What share of the best candidate's gain, less a few nats, is nearly as good.
+const NEARLY: f64 = 0.9;
+/// See [`NEARLY`].
+const NEARLY_NATS: f64 = 12.0;
 /// How long a link may swing on after the beginning of a recording [s].
 const SWING_S: f64 = 0.4;
+
+/// Root of the sum of squares.
+fn rms_of(v: &[f64]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
 
 /// Index of the largest value.
 fn largest(values: &[f64]) -> usize {
@@ -314,6 +323,17 @@ impl Search<'_> {
         out
     }
 
+    /// Of the candidates that count, the one with the fewest amplitudes among those that explain nearly as much
+    /// as the best: a tilted base is two numbers, not six springs.
+    fn simplest(&self, ranked: Vec<Ranked>) -> Option<Ranked> {
+        let width = |r: &Ranked| r.atoms.iter().map(|a| a.width().max(1)).sum::<usize>();
+        let ranked: Vec<Ranked> = ranked.into_iter().filter(|r| self.counts(r)).collect();
+        let best = ranked.first()?;
+        let (enough, amount) = (NEARLY * best.score.gain - NEARLY_NATS, rms_of(&best.score.size_nm));
+        let near = |r: &&Ranked| r.score.gain > enough && rms_of(&r.score.size_nm) > 0.98 * amount;
+        ranked.iter().filter(near).min_by_key(|r| width(r)).or(Some(best)).cloned()
+    }
+
     /// Whether a candidate takes most of the residual where it is largest.
     fn explains(&self, state: &State, r: &Ranked) -> bool {
         let rms = self.held_out_rms(state);
@@ -488,7 +508,7 @@ impl Search<'_> {
             let mut top: Vec<Ranked> = Vec::new();
             for r in &ranked {
                 let key = |r: &Ranked| (r.atoms[0].family, r.atoms.len(), r.atoms[0].joint);
-                if top.len() < 6 && !top.iter().any(|t| key(t) == key(r)) {
+                if top.len() < 8 && !top.iter().any(|t| key(t) == key(r)) {
                     top.push(r.clone());
                 }
             }
@@ -502,7 +522,7 @@ impl Search<'_> {
                     &format!("  ? {} {}", self.label(t), self.numbers(t)),
                 );
             }
-            let Some(best) = top.into_iter().find(|r| self.counts(r)) else {
+            let Some(best) = self.simplest(top) else {
                 excluded = std::mem::take(&mut ranked);
                 break;
             };

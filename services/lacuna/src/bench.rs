@@ -87,7 +87,7 @@ pub fn bench(args: &BenchArgs) -> CommandResult {
             print(args.json, &rows, |r| {
                 let [p50, p99, p999, max] = r.us;
                 format!(
-                    "{:>6} Hz  {:<38} p50 {p50:>8.1}  p99 {p99:>8.1}  p99.9 {p999:>8.1}  max {max:>8.1} µs  {} lost",
+                    "{:>6} Hz  {:<46} p50 {p50:>8.1}  p99 {p99:>8.1}  p99.9 {p999:>8.1}  max {max:>8.1} µs  {} lost",
                     r.rate_hz, r.hop, r.lost
                 )
             })

@@ -56,8 +56,8 @@ pub fn run(launch: &Path, rate_hz: f64, seconds: f64, progress: &mut dyn FnMut(&
     Ok(rows)
 }
 
-/// `2→3` with the names of the nodes.
-fn named(hop: &str, names: &[String]) -> String {
+/// A hop as the sink numbers it (`2→3`, `4→here`), with the names of the graph's nodes.
+pub fn named(hop: &str, names: &[String]) -> String {
     let node = |text: &str| match text {
         "here" => names.last().cloned(),
         number => number.parse::<usize>().ok().and_then(|i| names.get(i).cloned()),

@@ -304,23 +304,12 @@ fn print_run(replay: &serde_json::Value, live: &serde_json::Value) {
         "Live at 1 kHz, latency per hop (µs)           p50       p99     p99.9       max    {} lost",
         live["lost"]
     );
-    let names = ["source", "smoother", "torque", "friction", "payload", "recorder"];
+    let names = ["source", "smoother", "torque", "friction", "payload", "recorder"].map(str::to_owned);
     let hops: Vec<HopLatency> =
         serde_json::from_value(live["nodes"]["recorder"]["latency"].clone()).unwrap_or_default();
     for hop in hops {
-        let label = named_hop(&hop.hop, &names);
+        let label = lacuna_benches::latency::named(&hop.hop, &names);
         println!("  {label:<38} {:>9.1} {:>9.1} {:>9.1} {:>9.1}", hop.p50_us, hop.p99_us, hop.p999_us, hop.max_us);
-    }
-}
-
-fn named_hop(hop: &str, names: &[&str]) -> String {
-    let node = |text: &str| {
-        if text == "here" { names.last().copied() } else { names.get(text.parse::<usize>().ok()?).copied() }
-    };
-    let (pair, rest) = hop.split_once(' ').map_or((hop, String::new()), |(a, b)| (a, format!(" {b}")));
-    match pair.split_once('→').map(|(a, b)| (node(a), node(b))) {
-        Some((Some(a), Some(b))) => format!("{a} → {b}{rest}"),
-        _ => hop.to_owned(),
     }
 }
 

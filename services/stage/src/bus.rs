@@ -28,6 +28,8 @@ use std::time::{Duration, Instant};
 /// How long ports may take to come up, and how long a reader may hold back its writer in a replay.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(10);
 const STALL_TIMEOUT: Duration = Duration::from_secs(60);
+/// A blocked writer yields so often, then sleeps between looks.
+const BLOCKED_YIELDS: u64 = 4;
 /// A writer wakes its readers at the latest after this many samples.
 const NOTIFY_EVERY: u32 = 64;
 
@@ -123,6 +125,11 @@ fn open_wake(domain: &Domain, node: &str) -> Result<event::PortFactory<ipc::Serv
     }
 }
 
+/// How long a blocked writer sleeps: what a reader takes for a quarter of the buffer at a million samples a second.
+fn blocked_pause(buffer: usize) -> Duration {
+    Duration::from_micros((buffer as u64 / 4).clamp(10, 200))
+}
+
 /// The bell that writers ring for one reading node.
 #[derive(Debug)]
 pub struct Wake {
@@ -176,6 +183,7 @@ impl<W: Wire> Output<W> {
         let factory = open_topic::<W>(domain, graph, topic)?;
         let readers: Vec<String> = graph.readers(topic).map(|n| n.name.clone()).collect();
         let handler_stop = stop.clone();
+        let pause = blocked_pause(graph.buffer);
         let builder = factory.publisher_builder().max_loaned_samples(1);
         let builder = match graph.mode {
             Mode::Live => builder.backpressure_strategy(BackpressureStrategy::DiscardData),
@@ -185,6 +193,11 @@ impl<W: Wire> Output<W> {
                     if handler_stop.requested() || info.elapsed_time > STALL_TIMEOUT {
                         BackpressureAction::DiscardDataAndFail
                     } else {
+                        // The bus itself would yield ten thousand times first and take the processor from the
+                        // very reader it waits for.
+                        if info.retries > BLOCKED_YIELDS {
+                            std::thread::sleep(pause);
+                        }
                         BackpressureAction::Retry
                     }
                 }),

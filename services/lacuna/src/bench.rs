@@ -1,14 +1,13 @@
 //! `lacuna bench`: prints what `lacuna-benches` measures.
 
 use crate::CommandResult;
+use crate::progress::Progress;
 use clap::{Args, Subcommand};
-use indicatif::{ProgressBar, ProgressStyle};
 use lacuna_benches::{latency, memory, stages, throughput};
 use lacuna_stage::Failure;
 use serde::Serialize;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::time::Duration;
 
 #[derive(Args)]
 pub struct BenchArgs {
@@ -54,22 +53,18 @@ enum What {
 
 /// `lacuna bench`.
 pub fn bench(args: &BenchArgs) -> CommandResult {
-    let bar = ProgressBar::new_spinner();
-    if let Ok(style) = ProgressStyle::with_template("{spinner} {msg} ({elapsed})") {
-        bar.set_style(style);
-    }
-    bar.enable_steady_tick(Duration::from_millis(120));
-    let mut progress = |text: &str| bar.set_message(text.to_owned());
+    let spinner = Progress::spinner();
+    let mut progress = |text: &str| spinner.step(text);
     let fail = |e: lacuna_benches::BenchError| Failure::run(format!("bench: {e}"));
     match &args.what {
         What::Stages => {
             let rows = stages::run(&mut progress).map_err(fail)?;
-            bar.finish_and_clear();
+            drop(spinner);
             print(args.json, &rows, |r| format!("{:<52} {:>9.1} ns/sample  {}", r.what, r.ns, r.note))
         }
         What::Graph { samples, turns } => {
             let rows = throughput::run(&args.launch, *samples, *turns, &mut progress).map_err(fail)?;
-            bar.finish_and_clear();
+            drop(spinner);
             print(args.json, &rows, |r| {
                 let [low, high] = r.ratio_range;
                 format!(
@@ -83,7 +78,7 @@ pub fn bench(args: &BenchArgs) -> CommandResult {
             for rate in rates {
                 rows.extend(latency::run(&args.launch, *rate, *seconds, &mut progress).map_err(fail)?);
             }
-            bar.finish_and_clear();
+            drop(spinner);
             print(args.json, &rows, |r| {
                 let [p50, p99, p999, max] = r.us;
                 format!(
@@ -94,7 +89,7 @@ pub fn bench(args: &BenchArgs) -> CommandResult {
         }
         What::Memory { samples } => {
             let rows = memory::run(&args.launch, 60_000, *samples, &mut progress).map_err(fail)?;
-            bar.finish_and_clear();
+            drop(spinner);
             print(args.json, &rows, |r| {
                 format!(
                     "{:<10} {:>7.1} MiB after 60000 samples, {:>7.1} MiB after {samples}",

@@ -5,9 +5,9 @@
 //! two tables are computed from what the graph recorded.
 
 use crate::CommandResult;
+use crate::progress::Progress;
 use crate::recorded::{Recorded, Series};
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use lacuna_identify::{Method, Options, Outcome};
 use lacuna_report::{JointTrace, NamedSeries, OverlayPicture, TorqueTrace, overlay_svg};
 use lacuna_simulate::demo::{DEMO_PAYLOAD_KG, DEMO_ROBOT};
@@ -15,7 +15,6 @@ use lacuna_simulate::{Demo, EventTruth, demo_delta, write_csv};
 use lacuna_stage::{Failure, HopLatency};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
-use std::time::Duration;
 
 /// Speed above which a sample counts as moving [rad/s]: below it Coulomb friction is indeterminate.
 const MOVING: f64 = 0.05;
@@ -42,24 +41,24 @@ pub struct DemoArgs {
 
 /// `lacuna demo`.
 pub fn demo(args: &DemoArgs) -> CommandResult {
-    let bar = spinner();
-    bar.set_message("simulating 13 free motions and a pick-and-place with 3.8 kg");
+    let progress = Progress::spinner();
+    progress.step("simulating 13 free motions and a pick-and-place with 3.8 kg");
     let demo = demo_delta(args.seed)?;
     let files = Files::write(&args.out, &demo)?;
 
-    bar.set_message("identifying ρ1, ρ2 and friction from 12 motions, as in the paper");
-    let paper = identify(&files, Method::Paper, &bar)?;
+    progress.step("identifying ρ1, ρ2 and friction from 12 motions, as in the paper");
+    let paper = identify(&files, Method::Paper)?;
     std::fs::write(&files.model, paper.model.to_toml()?).map_err(|e| cannot_write(&files.model, &e))?;
-    bar.set_message("identifying all base parameters from the same motions");
-    let ours = identify(&files, Method::Pooled, &bar)?;
+    progress.step("identifying all base parameters from the same motions");
+    let ours = identify(&files, Method::Pooled)?;
 
-    bar.set_message("replaying v_F through the graph");
+    progress.step("replaying v_F through the graph");
     up(args, &files, "replay.toml", &files.test, &files.mcap("v_f.mcap"), 0.0)?;
-    bar.set_message("replaying v_P through the graph");
+    progress.step("replaying v_P through the graph");
     let replay = up(args, &files, "replay.toml", &files.pick_place, &files.mcap("v_p.mcap"), 0.0)?;
-    bar.set_message("running v_P live at recorded speed, for the latencies");
+    progress.step("running v_P live at recorded speed, for the latencies");
     let live = up(args, &files, "live.toml", &files.short, &files.mcap("live.mcap"), 1.0)?;
-    bar.finish_and_clear();
+    drop(progress);
 
     let free = Recorded::read(&files.mcap("v_f.mcap"))?;
     let carried = Recorded::read(&files.mcap("v_p.mcap"))?;
@@ -128,7 +127,7 @@ fn cannot_write(path: &Path, e: &dyn std::fmt::Display) -> Failure {
     Failure::run(format!("{}: cannot be written: {e}", path.display()))
 }
 
-fn identify(files: &Files, method: Method, bar: &ProgressBar) -> Result<Outcome, Failure> {
+fn identify(files: &Files, method: Method) -> Result<Outcome, Failure> {
     let range = |path: &PathBuf| lacuna_identify::FileRange { file: path.clone(), from_s: None, to_s: None };
     let options = Options {
         robot: files.robot.clone(),
@@ -137,7 +136,7 @@ fn identify(files: &Files, method: Method, bar: &ProgressBar) -> Result<Outcome,
         method,
         ..Options::default()
     };
-    Ok(lacuna_identify::identify(&options, &mut |_, _| bar.tick())?)
+    Ok(lacuna_identify::identify(&options, &mut |_, _| ())?)
 }
 
 /// Runs a graph with this very executable and returns its report.
@@ -341,13 +340,4 @@ fn draw(free: &Recorded, path: &Path) -> Result<(), Failure> {
         window_s: Some((1.0, 4.0)),
     };
     std::fs::write(path, overlay_svg(&picture)).map_err(|e| cannot_write(path, &e))
-}
-
-fn spinner() -> ProgressBar {
-    let bar = ProgressBar::new_spinner();
-    if let Ok(style) = ProgressStyle::with_template("{spinner} {msg} ({elapsed})") {
-        bar.set_style(style);
-    }
-    bar.enable_steady_tick(Duration::from_millis(120));
-    bar
 }

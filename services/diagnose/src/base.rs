@@ -1,7 +1,7 @@
 //! What is in every model: mechanics, viscous and Coulomb friction, and what the robot file leaves open.
 
+use crate::model::{BaseColumn, BaseRole};
 use crate::scene::{Column, Raw, Scene};
-use crate::search::{BaseColumn, BaseRole};
 use lacuna_estimation::filter::{Stencil, differentiate};
 use lacuna_interfaces::RobotFile;
 use lacuna_interfaces::robot::{Kind, Mass};

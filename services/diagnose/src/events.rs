@@ -5,9 +5,10 @@
 //! short window, over all places and durations.
 
 use crate::families::Context;
+use crate::model::{Atom, Model};
+use crate::rank::Ranked;
 use crate::scene::Column;
-use crate::search::{Atom, Model, Search, State};
-use crate::select::Ranked;
+use crate::search::{Search, State};
 use lacuna_estimation::stats;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;

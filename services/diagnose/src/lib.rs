@@ -5,16 +5,24 @@
 
 pub mod base;
 pub mod boost;
+pub mod calibration;
+pub mod context;
 pub mod events;
 pub mod families;
 pub mod findings;
 pub mod gram;
+mod intervals;
 mod locate;
+pub mod model;
+mod model_file;
+pub mod rank;
+pub mod refine;
 mod report;
 pub mod scene;
 pub mod screen;
 pub mod search;
 pub mod select;
+pub mod swap;
 pub mod unknown;
 mod words;
 

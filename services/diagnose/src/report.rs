@@ -2,18 +2,21 @@
 
 use crate::Outcome;
 use crate::base::Base;
+use crate::calibration::probability;
+use crate::context::context;
 use crate::families::Context;
 use crate::findings::*;
 use crate::gram::Fit;
+use crate::intervals::parameters;
+use crate::model::{Atom, Model};
+use crate::model_file::model_file;
 use crate::scene::Scene;
-use crate::search::{Atom, BaseRole, Model, Search};
-use crate::select::{Selection, context};
+use crate::search::Search;
+use crate::select::Selection;
 use crate::unknown::Explained;
 use crate::words;
 use lacuna_estimation::filter::noise_sd;
 use lacuna_estimation::stats;
-use lacuna_interfaces::ModelFile;
-use lacuna_interfaces::model::{FrictionModel, NoiseModel, Term};
 use rand::{RngExt, SeedableRng};
 
 /// What the torque's white noise leaves in the band, per joint [Nm].
@@ -169,30 +172,6 @@ fn named(m: &Material<'_>, ctx: &Context<'_>) -> Option<Vec<Finding>> {
     Some(out)
 }
 
-/// Probability of an effect (or its group) and of its rivals, from their merits.
-fn probability(m: &Material<'_>, id: &str, nats: f64, group: &[String]) -> (f64, Vec<Alternative>) {
-    // One nat of held-out evidence is worth less than one of a perfect model: calibrated on simulated robots.
-    const SCALE: f64 = 10.0;
-    let there = 1.0 / (1.0 + (-(nats - 20.0) / SCALE).exp());
-    let Some(rivals) = m.selection.rivals.iter().find(|r| r.effect == id) else {
-        return (there, Vec::new());
-    };
-    let weight = |merit: f64| ((merit - rivals.merit) / SCALE).min(0.0).exp();
-    let others: Vec<(&str, f64)> = rivals
-        .others
-        .iter()
-        .filter(|(o, merit)| *merit > 0.0 && !group.iter().any(|g| g == o))
-        .map(|(o, merit)| (*o, weight(*merit)))
-        .collect();
-    let total = 1.0 + others.iter().map(|o| o.1).sum::<f64>();
-    let alternatives = others
-        .iter()
-        .map(|(o, w)| Alternative { effect: (*o).to_owned(), probability: there * w / total })
-        .filter(|a| a.probability > 1e-3)
-        .collect();
-    (there / total, alternatives)
-}
-
 /// Held-out residual with and without some terms at `joints`, its interval by bootstrap over folds.
 fn reduction(m: &Material<'_>, without: &Fit, joints: &[usize]) -> Reduction {
     let with = &m.selection.state.fit;
@@ -212,72 +191,6 @@ fn reduction(m: &Material<'_>, without: &Fit, joints: &[usize]) -> Reduction {
         after_rms_nm: (a.iter().sum::<f64>() / count).sqrt(),
         reduction: share(&all),
         ci95: [stats::quantile_in_place(&mut draws, 0.025), stats::quantile_in_place(&mut draws, 0.975)],
-    }
-}
-
-/// Parameters of term `i` with intervals: amplitudes from the spread over folds left out (jackknife), shapes
-/// from the curvature of the evidence.
-fn parameters(m: &Material<'_>, ctx: &Context<'_>, i: usize, several: bool) -> Vec<Parameter> {
-    let (model, fit) = (&m.selection.model, &m.selection.state.fit);
-    let atom = &model.atoms[i];
-    let family = &m.search.families[atom.family];
-    let slots = model.slots(i);
-    let amplitude: Vec<f64> =
-        if atom.fixed { atom.shape.iter().skip(2).copied().collect() } else { fit.beta[slots.clone()].to_vec() };
-    let values = family.parameters(ctx, atom.joint, &atom.shape, &amplitude);
-    let spread = |slot: usize| -> f64 {
-        let draws: Vec<f64> = fit.fold_beta.iter().filter_map(|b| b.get(slot).copied()).collect();
-        let folds = draws.len() as f64;
-        let mean = stats::mean(&draws);
-        let jackknife = ((folds - 1.0) / folds * draws.iter().map(|b| (b - mean).powi(2)).sum::<f64>()).sqrt();
-        let formal = fit.variance.get(slot).copied().unwrap_or(0.0).sqrt();
-        // Student's t for as many folds.
-        (1.96 + 2.4 / (folds - 1.0).max(1.0)) * jackknife.max(formal)
-    };
-    let shapes = family.shapes(ctx, atom.joint).unwrap_or_default();
-    values
-        .into_iter()
-        .map(|(symbol, value)| {
-            let half = match family.keep.iter().position(|k| *k == symbol) {
-                Some(c) if !atom.fixed => spread(slots.start + c),
-                Some(_) => 0.0,
-                None => shapes
-                    .iter()
-                    .position(|s| s.symbol == symbol && s.bounds.is_some())
-                    .map_or(0.0, |s| 1.96 * curvature(m, ctx, i, s)),
-            };
-            Parameter {
-                unit: family.effect.parameters.iter().find(|p| p.symbol == symbol).map_or("", |p| p.unit).to_owned(),
-                joint: (several || family.per_joint()).then(|| m.scene.robot.joints[atom.joint].clone()),
-                ci95: [value - half, value + half],
-                symbol,
-                value,
-            }
-        })
-        .collect()
-}
-
-/// Standard deviation of a shape parameter from how the evidence falls beside it.
-fn curvature(m: &Material<'_>, ctx: &Context<'_>, i: usize, shape: usize) -> f64 {
-    let mut model = m.selection.model.clone();
-    let atom = model.atoms.remove(i);
-    let Some(state) = m.search.fit(&mut model) else { return 0.0 };
-    let at = |factor: f64| -> Option<f64> {
-        let mut s = atom.shape.clone();
-        s[shape] *= factor;
-        let moved = m.search.atom(ctx, atom.family, atom.joint, &s);
-        Some(m.search.score(&model, &state, &[&moved])?.gain)
-    };
-    // The state's weights are those of the larger residual without the term; put the scale right.
-    let scale =
-        m.selection.state.weights.iter().zip(&state.weights).map(|(a, b)| a / b.max(1e-300)).fold(1.0, f64::max);
-    let step = 0.03;
-    match (at(1.0), at(1.0 + step), at(1.0 - step)) {
-        (Some(c), Some(a), Some(b)) => {
-            let fall = ((c - a) + (c - b)) * 0.5 * scale;
-            atom.shape[shape].abs() * step / (2.0 * fall.max(1e-3)).sqrt()
-        }
-        _ => 0.0,
     }
 }
 
@@ -448,54 +361,4 @@ fn advice(effect: &str) -> &'static str {
         "presliding" => "make reversals of a few milliradians",
         _ => "record motions over the whole range of positions and speeds",
     }
-}
-
-fn model_file(m: &Material<'_>, ctx: &Context<'_>, after_rms: Vec<f64>) -> ModelFile {
-    let (n, selection) = (m.scene.joints, m.selection);
-    let mut model = ModelFile::nominal(&m.scene.robot);
-    let mut friction = FrictionModel {
-        f_v: vec![0.0; n],
-        f_c: vec![0.0; n],
-        standstill_rad_s: m.scene.slow_rad_s.clone(),
-        ..FrictionModel::default()
-    };
-    for (slot, i) in selection.model.free_base().into_iter().enumerate() {
-        let v = selection.state.fit.beta[slot];
-        match &selection.model.base[i].role {
-            BaseRole::Viscous(j) => friction.f_v[*j] = v,
-            BaseRole::Coulomb(j) => friction.f_c[*j] = v,
-            BaseRole::Offset(j) => {
-                friction.offset.resize(n, 0.0);
-                friction.offset[*j] = v;
-            }
-            BaseRole::Parameter(symbol) => {
-                model.rigid_body.parameters.insert(symbol.clone(), v);
-            }
-            BaseRole::Tolerance(_) => {}
-        }
-    }
-    for (i, atom) in selection.model.atoms.iter().enumerate() {
-        let family = &m.search.families[atom.family];
-        let amplitude: Vec<f64> = if atom.fixed {
-            atom.shape.iter().skip(2).copied().collect()
-        } else {
-            selection.state.fit.beta[selection.model.slots(i)].to_vec()
-        };
-        let joints: Vec<String> = family.joints(atom.joint).iter().map(|j| m.scene.robot.joints[*j].clone()).collect();
-        let parameters = family.parameters(ctx, atom.joint, &atom.shape, &amplitude);
-        let term = Term { effect: family.id().to_owned(), joints, parameters };
-        if atom.carries.is_empty() {
-            model.terms.push(term.clone());
-        }
-        for (on, off) in &atom.carries {
-            let mut carry = term.clone();
-            carry.parameters.insert("t_on".into(), *on);
-            carry.parameters.insert("t_off".into(), *off);
-            model.terms.push(carry);
-        }
-    }
-    model.origin = format!("diagnosis of {} recordings", m.scene.names.len());
-    model.friction = friction;
-    model.noise = NoiseModel { sd_tau_nm: after_rms, sd_q_rad: Vec::new() };
-    model
 }

@@ -8,98 +8,9 @@
 
 use crate::families::{Context, Family};
 use crate::gram::{Fit, Gram, Layout};
-use crate::scene::{Column, Raw, Scene};
+use crate::model::{Atom, BaseRole, Model};
+use crate::scene::{Column, Scene};
 use rayon::prelude::*;
-
-/// A column that is always in the model.
-#[derive(Debug, Clone)]
-pub struct BaseColumn {
-    /// What it is.
-    pub role: BaseRole,
-    /// At the full rate.
-    pub raw: Raw,
-    /// At the rows.
-    pub column: Column,
-}
-
-/// Role of a base column.
-#[derive(Debug, Clone, PartialEq)]
-pub enum BaseRole {
-    /// f_v of a joint.
-    Viscous(usize),
-    /// f_c of a joint.
-    Coulomb(usize),
-    /// Constant torque of a joint (only where the base is fitted freely).
-    Offset(usize),
-    /// A dynamic parameter of the robot, by symbol (only where the base is fitted freely).
-    Parameter(String),
-    /// A tolerance of the robot file: in units of its limit.
-    Tolerance(String),
-}
-
-/// A term that was taken into the model.
-#[derive(Debug, Clone)]
-pub struct Atom {
-    /// Index into the registry.
-    pub family: usize,
-    /// Joint it acts on; 0 for the structure.
-    pub joint: usize,
-    /// Shape parameters.
-    pub shape: Vec<f64>,
-    /// Columns at the full rate.
-    pub raws: Vec<Raw>,
-    /// Columns at the rows.
-    pub columns: Vec<Column>,
-    /// Acts in full, without an amplitude.
-    pub fixed: bool,
-    /// Times in which it acts, if it comes and goes: from, to since switch-on [s].
-    pub carries: Vec<(f64, f64)>,
-}
-
-impl Atom {
-    /// Number of fitted amplitudes.
-    pub fn width(&self) -> usize {
-        if self.fixed { 0 } else { self.columns.len() }
-    }
-}
-
-/// Base and terms.
-#[derive(Debug, Clone)]
-pub struct Model {
-    /// Always there.
-    pub base: Vec<BaseColumn>,
-    /// Tolerances that sit at their limit: base index and value.
-    pub clamped: Vec<(usize, f64)>,
-    /// Terms.
-    pub atoms: Vec<Atom>,
-}
-
-impl Model {
-    /// Base columns that are free.
-    pub fn free_base(&self) -> Vec<usize> {
-        (0..self.base.len()).filter(|i| !self.clamped.iter().any(|(c, _)| c == i)).collect()
-    }
-
-    /// Columns in the order of the coefficients.
-    pub fn columns(&self) -> Vec<&Column> {
-        let mut out: Vec<&Column> = self.free_base().into_iter().map(|i| &self.base[i].column).collect();
-        out.extend(self.atoms.iter().filter(|a| !a.fixed).flat_map(|a| &a.columns));
-        out
-    }
-
-    /// Columns with all tolerances free.
-    pub fn all_columns(&self) -> Vec<&Column> {
-        let mut out: Vec<&Column> = self.base.iter().map(|b| &b.column).collect();
-        out.extend(self.atoms.iter().filter(|a| !a.fixed).flat_map(|a| &a.columns));
-        out
-    }
-
-    /// Where the coefficients of atom `index` are.
-    pub fn slots(&self, index: usize) -> std::ops::Range<usize> {
-        let start = self.base.len() - self.clamped.len() + self.atoms[..index].iter().map(Atom::width).sum::<usize>();
-        start..start + self.atoms[index].width()
-    }
-}
 
 /// A model with its fit.
 pub struct State {
@@ -380,60 +291,6 @@ impl<'a> Search<'a> {
         let columns = raws.iter().map(|r| self.scene.column(r.clone())).collect();
         let fixed = self.families[family].fixed();
         Atom { family, joint, shape: shape.to_vec(), raws, columns, fixed, carries: Vec::new() }
-    }
-
-    /// Refines the shape of `atom`, which is not in the model, by golden sections, one parameter at a time.
-    pub fn refine(&self, ctx: &Context<'_>, model: &Model, state: &State, atom: &Atom) -> Atom {
-        let family = &self.families[atom.family];
-        let bounds: Vec<Option<(f64, f64)>> =
-            family.shapes(ctx, atom.joint).unwrap_or_default().into_iter().map(|s| s.bounds).collect();
-        let mut best = atom.clone();
-        let value = |a: &Atom| match self.score(model, state, &[a]) {
-            Some(s) if family.admissible(ctx, &a.shape, &s.amplitude) => s.gain,
-            _ => f64::NEG_INFINITY,
-        };
-        let mut best_value = value(&best);
-        let mut spread = if family.driven { 1.12f64 } else { 1.6 };
-        for _ in 0..if family.driven { 3 } else { 2 } {
-            for (i, bound) in bounds.iter().enumerate() {
-                let Some((low, high)) = bound else { continue };
-                // Bounds of one sign are searched in ratios, others in differences.
-                let ratio = *low > 0.0;
-                let at = |x: f64, t: f64| {
-                    let v = if ratio { x * spread.powf(t) } else { x + t * 0.15 * spread * (high - low) };
-                    v.clamp(*low, *high)
-                };
-                let centre = best.shape[i];
-                let (mut a, mut b) = (-1.0, 1.0);
-                let golden = 0.381_966;
-                let mut probe = |t: f64| {
-                    let mut shape = best.shape.clone();
-                    shape[i] = at(centre, t);
-                    let candidate = self.atom(ctx, atom.family, atom.joint, &shape);
-                    let v = value(&candidate);
-                    if v > best_value {
-                        best_value = v;
-                        best = candidate;
-                    }
-                    v
-                };
-                let (mut x1, mut x2) = (a + golden * (b - a), b - golden * (b - a));
-                let (mut f1, mut f2) = (probe(x1), probe(x2));
-                for _ in 0..5 {
-                    if f1 > f2 {
-                        (b, x2, f2) = (x2, x1, f1);
-                        x1 = a + golden * (b - a);
-                        f1 = probe(x1);
-                    } else {
-                        (a, x1, f1) = (x1, x2, f2);
-                        x2 = b - golden * (b - a);
-                        f2 = probe(x2);
-                    }
-                }
-            }
-            spread = spread.sqrt();
-        }
-        best
     }
 
     /// Candidates at all shapes, as `(family, joints, shape)`.

@@ -1,0 +1,159 @@
+//! One round of candidates: what each would add, and which of them is to be taken.
+
+use crate::families::Context;
+use crate::model::{Atom, Model};
+use crate::search::{Score, Search, State};
+use rayon::prelude::*;
+
+/// A candidate and its score.
+#[derive(Debug, Clone)]
+pub struct Ranked {
+    /// Terms that would enter together: one, or one per joint.
+    pub atoms: Vec<Atom>,
+    /// Score of all together.
+    pub score: Score,
+    /// Gain less the price of its columns and its family's entry threshold.
+    pub merit: f64,
+}
+
+/// What share of the best candidate's gain, less a few nats, is nearly as good.
+const NEARLY: f64 = 0.9;
+/// See [`NEARLY`].
+const NEARLY_NATS: f64 = 12.0;
+/// Root of the sum of squares.
+fn rms_of(v: &[f64]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+impl Search<'_> {
+    /// Whether a score is large enough to count, in evidence, in Nm and in folds.
+    pub(crate) fn counts(&self, ranked: &Ranked) -> bool {
+        let size = ranked.score.size_nm.iter().zip(&self.limits.floor_nm).map(|(s, f)| s / f).fold(0.0, f64::max);
+        ranked.merit > 0.0 && size > 1.0 && ranked.score.folds > 0.5
+    }
+
+    pub(crate) fn rank(&self, ctx: &Context<'_>, model: &Model, state: &State, atoms: Vec<Atom>) -> Option<Ranked> {
+        let score = self.score(model, state, &atoms.iter().collect::<Vec<_>>())?;
+        let mut at = 0;
+        for atom in &atoms {
+            let own = &score.amplitude[at..at + atom.width()];
+            at += atom.width();
+            if !self.families[atom.family].admissible(ctx, &atom.shape, own) {
+                return None;
+            }
+        }
+        let entry = atoms.first().map_or(0.0, |a| self.limits.entry[a.family]);
+        let merit = score.gain - self.limits.column * at as f64 - entry;
+        Some(Ranked { atoms, score, merit })
+    }
+
+    /// All candidates of one round, best first.
+    pub(crate) fn round(&self, ctx: &Context<'_>, model: &Model, state: &State, pool: &[Atom]) -> Vec<Ranked> {
+        let taken = |a: &Atom| {
+            model.atoms.iter().any(|m| {
+                let family = &self.families[m.family];
+                m.family == a.family
+                    && (m.joint == a.joint || !family.per_joint())
+                    && (m.shape == a.shape || family.refinable(ctx, m.joint) || m.shape.is_empty())
+            })
+        };
+        let single: Vec<Ranked> = pool
+            .par_iter()
+            .filter(|a| !taken(a))
+            .filter_map(|a| self.rank(ctx, model, state, vec![a.clone()]))
+            .collect();
+        let mut all = single;
+        if self.scene.joints > 1 {
+            all.extend(self.whole_robot(ctx, model, state, &all, &taken));
+        }
+        all.sort_by(|a, b| b.merit.total_cmp(&a.merit));
+        all
+    }
+
+    /// One candidate per family for all joints at once, each joint at its own best shape.
+    pub(crate) fn whole_robot(
+        &self,
+        ctx: &Context<'_>,
+        model: &Model,
+        state: &State,
+        single: &[Ranked],
+        taken: &dyn Fn(&Atom) -> bool,
+    ) -> Vec<Ranked> {
+        let mut out = Vec::new();
+        for (f, family) in self.families.iter().enumerate() {
+            if !family.whole_robot {
+                continue;
+            }
+            let best: Vec<Atom> = (0..self.scene.joints)
+                .filter_map(|j| {
+                    single
+                        .iter()
+                        .filter(|r| r.atoms[0].family == f && r.atoms[0].joint == j)
+                        .max_by(|a, b| a.merit.total_cmp(&b.merit))
+                        .map(|r| r.atoms[0].clone())
+                })
+                .filter(|a| !taken(a))
+                .collect();
+            if best.len() > 1 {
+                out.extend(self.rank(ctx, model, state, best));
+            }
+        }
+        out
+    }
+
+    /// Of the candidates that count, the one with the fewest amplitudes among those that explain nearly as much
+    /// as the best: a tilted base is two numbers, not six springs.
+    pub(crate) fn simplest(&self, ranked: Vec<Ranked>) -> Option<Ranked> {
+        let width = |r: &Ranked| r.atoms.iter().map(|a| a.width().max(1)).sum::<usize>();
+        let ranked: Vec<Ranked> = ranked.into_iter().filter(|r| self.counts(r)).collect();
+        let best = ranked.first()?;
+        let (enough, amount) = (NEARLY * best.score.gain - NEARLY_NATS, rms_of(&best.score.size_nm));
+        let near = |r: &&Ranked| r.score.gain > enough && rms_of(&r.score.size_nm) > 0.98 * amount;
+        ranked.iter().filter(near).min_by_key(|r| width(r)).or(Some(best)).cloned()
+    }
+
+    /// Whether a candidate takes most of the residual where it is largest.
+    pub(crate) fn explains(&self, state: &State, r: &Ranked) -> bool {
+        let rms = self.held_out_rms(state);
+        let over = |j: usize| rms[j] / self.limits.noise_nm[j].max(1e-30);
+        let worst = (0..rms.len()).max_by(|a, b| over(*a).total_cmp(&over(*b))).unwrap_or(0);
+        r.merit > 0.0 && r.score.size_nm[worst] > 0.9 * rms[worst]
+    }
+
+    /// Elastic joints and backlash, where a residual is large enough to be one: they are dear to simulate.
+    pub(crate) fn driven(&self, ctx: &Context<'_>, model: &Model, state: &State) -> Vec<Atom> {
+        let n = self.scene.joints;
+        let rms = self.held_out_rms(state);
+        let most = rms.iter().copied().fold(0.0, f64::max);
+        let mut joints: Vec<usize> =
+            (0..n).filter(|j| rms[*j] > 2.5 * self.limits.noise_nm[*j] && rms[*j] > 0.75 * most).collect();
+        // A soft joint shakes itself most.
+        joints.sort_by(|a, b| rms[*b].total_cmp(&rms[*a]));
+        joints.truncate(2);
+        let mut list = Vec::new();
+        let residual = self.residual(model, state);
+        for (f, family) in self.families.iter().enumerate().filter(|(_, f)| f.driven) {
+            for j in &joints {
+                let shapes = match family.id() {
+                    "backlash" if ctx.inertia[*j] > 0.0 && ctx.nominal_base => self.screen_backlash(ctx, &residual, *j),
+                    "backlash" => Vec::new(),
+                    _ => family.grid(ctx, *j),
+                };
+                list.extend(shapes.into_iter().map(|s| (f, *j, s)));
+            }
+        }
+        self.build(ctx, list)
+    }
+
+    /// Refines the shapes of a candidate one term after the other.
+    pub(crate) fn refined(&self, ctx: &Context<'_>, model: &Model, state: &State, ranked: &Ranked) -> Ranked {
+        let mut atoms = Vec::new();
+        for atom in &ranked.atoms {
+            let atom = self.atom(ctx, atom.family, atom.joint, &atom.shape);
+            let sharp = self.families[atom.family].refinable(ctx, atom.joint);
+            atoms.push(if sharp { self.refine(ctx, model, state, &atom) } else { atom });
+        }
+        let whole = self.rank(ctx, model, state, atoms.clone());
+        whole.unwrap_or(Ranked { atoms, ..ranked.clone() })
+    }
+}

@@ -1,0 +1,136 @@
+//! What enters may have to go again: pruning, and swapping effects for better ones.
+
+use crate::base::Base;
+use crate::context::context;
+use crate::gram::{Fit, Gram};
+use crate::model::{Atom, Model};
+use crate::rank::Ranked;
+use crate::search::{Search, State, subtract};
+use rayon::prelude::*;
+
+/// How much better a rival must be to take an effect's place [nats].
+const SWAP_NATS: f64 = 8.0;
+/// What else could explain what one effect explains.
+#[derive(Debug, Clone)]
+pub struct Rivals {
+    /// Effect in the model.
+    pub effect: &'static str,
+    /// Its merit [nats].
+    pub merit: f64,
+    /// Other effects and their merits, best first.
+    pub others: Vec<(&'static str, f64)>,
+}
+
+impl Search<'_> {
+    /// Replaces effects by better ones and tells what else there was.
+    pub(crate) fn swap(
+        &self,
+        base: &Base,
+        fixed: &[Atom],
+        model: &mut Model,
+        state: &mut State,
+        progress: &mut dyn FnMut(f64, &str),
+    ) -> Option<Vec<Rivals>> {
+        let mut out: Vec<Rivals> = Vec::new();
+        let mut swaps = 0;
+        let mut effects: Vec<&'static str> = Vec::new();
+        for a in &model.atoms {
+            let id = self.families[a.family].id();
+            if !effects.contains(&id) && !self.families[a.family].event {
+                effects.push(id);
+            }
+        }
+        for id in effects {
+            let mut without = model.clone();
+            let own: Vec<Atom> = model.atoms.iter().filter(|a| self.families[a.family].id() == id).cloned().collect();
+            without.atoms.retain(|a| self.families[a.family].id() != id);
+            if own.is_empty() {
+                continue;
+            }
+            let rest = self.fit(&mut without)?;
+            let ctx = context(self.scene, base, self, &without, Some(&rest));
+            let mut pool: Vec<Atom> = fixed.iter().filter(|a| self.families[a.family].id() != id).cloned().collect();
+            let dynamic = self.candidates(&ctx, |f| f.dynamic && !f.driven && f.id() != id);
+            pool.extend(self.build(&ctx, dynamic));
+            let own = self.rank(&ctx, &without, &rest, own);
+            let merit = own.as_ref().map_or(0.0, |o| o.merit);
+            let mut ranked = self.round(&ctx, &without, &rest, &pool);
+            let mut top: Vec<Ranked> = Vec::new();
+            for r in &ranked {
+                let key = |r: &Ranked| (r.atoms[0].family, r.atoms.len());
+                if top.len() < 3 && !top.iter().any(|t| key(t) == key(r)) {
+                    top.push(r.clone());
+                }
+            }
+            let top: Vec<Ranked> = top.par_iter().map(|r| self.refined(&ctx, &without, &rest, r)).collect();
+            ranked.extend(top.iter().cloned());
+            ranked.sort_by(|a, b| b.merit.total_cmp(&a.merit));
+            if let Some(best) = ranked.first()
+                && best.merit > merit + SWAP_NATS
+                && self.counts(best)
+                && swaps < 3
+            {
+                let better = self.refined(&ctx, &without, &rest, best);
+                progress(0.8, &format!("{id} -> {}", self.label(&better)));
+                swaps += 1;
+                without.atoms.extend(better.atoms);
+                *model = without;
+                *state = self.fit(model)?;
+                self.prune(model, state, progress)?;
+                continue;
+            }
+            let mut others: Vec<(&'static str, f64)> = Vec::new();
+            for r in &ranked {
+                let other = self.families[r.atoms[0].family].id();
+                if other != id && !others.iter().any(|o| o.0 == other) && others.len() < 4 {
+                    others.push((other, r.merit));
+                }
+            }
+            out.push(Rivals { effect: id, merit, others });
+        }
+        Some(out)
+    }
+
+    /// Fit of the model without some of its terms, at the same weights.
+    pub fn fit_without(&self, model: &Model, state: &State, gone: &[usize]) -> Option<Fit> {
+        let mut target = state.target.clone();
+        let mut rest = model.clone();
+        for i in gone.iter().rev() {
+            let atom = rest.atoms.remove(*i);
+            for column in atom.columns.iter().filter(|_| atom.fixed) {
+                subtract(&mut target, column, -1.0);
+            }
+        }
+        // A delay that is taken away must not come back as a tolerance.
+        let taken: Vec<&Atom> = gone.iter().filter_map(|i| model.atoms.get(*i)).collect();
+        let precision = self.precision(&rest, &taken);
+        Gram::new(&self.layout, &target, &rest.columns()).fit(&self.layout, &state.weights, &precision)
+    }
+
+    /// Takes out terms that are no longer worth their columns.
+    pub(crate) fn prune(
+        &self,
+        model: &mut Model,
+        state: &mut State,
+        progress: &mut dyn FnMut(f64, &str),
+    ) -> Option<()> {
+        loop {
+            let mut worst: Option<(usize, f64)> = None;
+            for i in 0..model.atoms.len() {
+                let atom = &model.atoms[i];
+                let fit = self.fit_without(model, state, &[i])?;
+                let loss = self.compare(state, &fit, &state.fit, Vec::new());
+                let size = loss.size_nm.iter().zip(&self.limits.floor_nm).map(|(s, f)| s / f).fold(0.0, f64::max);
+                let merit = loss.gain - self.limits.column * atom.width() as f64 - 0.5 * self.limits.entry[atom.family];
+                let merit = if size < 0.8 && !self.families[atom.family].event { merit.min(-1.0) } else { merit };
+                if merit < 0.0 && worst.is_none_or(|(_, w)| merit < w) {
+                    worst = Some((i, merit));
+                }
+            }
+            let Some((i, _)) = worst else { return Some(()) };
+            let gone = model.atoms.remove(i);
+            progress(0.7, &format!("- {} joint {}", self.families[gone.family].id(), gone.joint + 1));
+            *state = self.fit(model)?;
+        }
+    }
+}

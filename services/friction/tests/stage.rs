@@ -3,33 +3,6 @@
 use lacuna_friction::{Config, Friction};
 use lacuna_interfaces::{BadInput, FrictionTorque, ModelFile, RobotFile, Stage, StageContext, TorqueModel, flag};
 use proptest::prelude::*;
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
-thread_local! {
-    // Per thread: the test harness allocates on its own.
-    static COUNT: Cell<usize> = const { Cell::new(0) };
-}
-
-struct Counting;
-
-#[expect(unsafe_code, reason = "an allocator that counts can only be written so")]
-// SAFETY: every call is passed to the system allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        COUNT.with(|c| c.set(c.get() + 1));
-        // SAFETY: the caller's promise about `layout` is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: `pointer` came from `alloc` above with this `layout`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 fn robot() -> RobotFile {
     RobotFile::parse(
@@ -146,14 +119,15 @@ fn bad_input_is_refused_in_words() {
 fn nothing_is_allocated_after_new() {
     let mut stage = make(Some(&model()), Config::default()).unwrap();
     let mut sum = 0.0;
-    let before = COUNT.with(Cell::get);
-    for k in 0..10_000 {
-        let t = f64::from(k) * 1e-3;
-        let input = sample([t.sin(), (3.0 * t).cos(), 0.0], [1.0; 3], [0.5; 3]);
-        stage.step(&input, &mut |o| sum += o.tau_friction_nm[0]);
-    }
-    stage.finish(&mut |_| ());
-    assert_eq!(COUNT.with(Cell::get), before);
+    let counted = allocation_counter::measure(|| {
+        for k in 0..10_000 {
+            let t = f64::from(k) * 1e-3;
+            let input = sample([t.sin(), (3.0 * t).cos(), 0.0], [1.0; 3], [0.5; 3]);
+            stage.step(&input, &mut |o| sum += o.tau_friction_nm[0]);
+        }
+        stage.finish(&mut |_| ());
+    });
+    assert_eq!(counted.count_total, 0);
     assert!(sum.is_finite());
 }
 

@@ -5,34 +5,7 @@ use lacuna_interfaces::{
     BadInput, FrictionTorque, Joints, MAX_JOINTS, ModelFile, RobotFile, Stage, StageContext, TorqueModel, flag,
 };
 use lacuna_physics::{Motion, build};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use std::f64::consts::TAU;
-
-thread_local! {
-    // Per thread: the test harness allocates on its own.
-    static COUNT: Cell<usize> = const { Cell::new(0) };
-}
-
-struct Counting;
-
-#[expect(unsafe_code, reason = "an allocator that counts can only be written so")]
-// SAFETY: every call is passed to the system allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        COUNT.with(|c| c.set(c.get() + 1));
-        // SAFETY: the caller's promise about `layout` is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: `pointer` came from `alloc` above with this `layout`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 const ROBOT: &str = "kind = \"delta\"\nname = \"d\"\n[geometry]\nl1 = 0.35\nl2 = 0.88\nra = 0.2\nrb = 0.05\n\
     [mass]\nplatform = 1.1\nupper_arm = 1.8\nforearm_point = 0.22\nrotor_inertia = 0.06\n";
@@ -165,11 +138,12 @@ fn terms_stream_without_allocating_and_twice_alike() {
     let mut first = stage(&terms).unwrap();
     let motion = inputs(500);
     let mut sum = 0.0;
-    let before = COUNT.with(Cell::get);
-    for m in &motion {
-        first.step(m, &mut |o| sum += o.tau_friction_nm[1].abs());
-    }
-    assert_eq!(COUNT.with(Cell::get), before, "allocations in 500 samples");
+    let counted = allocation_counter::measure(|| {
+        for m in &motion {
+            first.step(m, &mut |o| sum += o.tau_friction_nm[1].abs());
+        }
+    });
+    assert_eq!(counted.count_total, 0, "allocations in 500 samples");
     assert!(sum.is_finite() && sum > 500.0);
     let again = run(&mut stage(&terms).unwrap(), &motion);
     assert_eq!(run(&mut stage(&terms).unwrap(), &motion), again);

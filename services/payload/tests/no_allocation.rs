@@ -1,34 +1,7 @@
-//! After `new` the stage does not allocate: a counting allocator.
+//! After `new` the stage does not allocate.
 
 use lacuna_interfaces::{FrictionTorque, RobotFile, Stage, StageContext};
 use lacuna_payload::{Config, Payload};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
-
-thread_local! {
-    // Per thread: the test harness allocates on its own.
-    static COUNT: Cell<usize> = const { Cell::new(0) };
-}
-
-struct Counting;
-
-#[expect(unsafe_code, reason = "an allocator that counts can only be written so")]
-// SAFETY: every call is passed to the system allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        COUNT.with(|c| c.set(c.get() + 1));
-        // SAFETY: the caller's promise about `layout` is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: `pointer` came from `alloc` above with this `layout`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 #[test]
 fn step_and_finish() {
@@ -39,25 +12,26 @@ fn step_and_finish() {
     .unwrap();
     let mut stage = Payload::new(Config::default(), &StageContext { robot: &robot, urdf: None, model: None }).unwrap();
     let (mut emitted, mut mass) = (0, 0.0);
-    let before = COUNT.with(Cell::get);
-    for k in 0..10_000i64 {
-        let mut m = FrictionTorque::default();
-        m.header.stamp_ns = k * 1_000_000;
-        for i in 0..3 {
-            let t = k as f64 * 1e-3 + i as f64;
-            m.qd_rad_s[i] = (5.0 * t).cos();
-            m.payload_column_nm_kg[i] = 2.0 + (5.0 * t).sin();
-            // Loads come and go: steps are part of the path.
-            let load = if (k / 2000) % 2 == 0 { 0.0 } else { 3.0 };
-            m.tau_nm[i] = load * m.payload_column_nm_kg[i] + 0.1 * ((k * 7919) % 13) as f64 / 13.0;
+    let counted = allocation_counter::measure(|| {
+        for k in 0..10_000i64 {
+            let mut m = FrictionTorque::default();
+            m.header.stamp_ns = k * 1_000_000;
+            for i in 0..3 {
+                let t = k as f64 * 1e-3 + i as f64;
+                m.qd_rad_s[i] = (5.0 * t).cos();
+                m.payload_column_nm_kg[i] = 2.0 + (5.0 * t).sin();
+                // Loads come and go: steps are part of the path.
+                let load = if (k / 2000) % 2 == 0 { 0.0 } else { 3.0 };
+                m.tau_nm[i] = load * m.payload_column_nm_kg[i] + 0.1 * ((k * 7919) % 13) as f64 / 13.0;
+            }
+            stage.step(&m, &mut |o| {
+                emitted += 1;
+                mass = o.mass_kg;
+            });
         }
-        stage.step(&m, &mut |o| {
-            emitted += 1;
-            mass = o.mass_kg;
-        });
-    }
-    stage.finish(&mut |_| emitted += 1);
-    assert_eq!(COUNT.with(Cell::get), before, "allocations after new");
+        stage.finish(&mut |_| emitted += 1);
+    });
+    assert_eq!(counted.count_total, 0, "allocations after new");
     assert_eq!(emitted, 10_000);
     assert!(mass.abs() < 0.2);
 }

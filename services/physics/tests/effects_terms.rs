@@ -9,34 +9,7 @@ use lacuna_interfaces::model::Term;
 use lacuna_interfaces::{Joints, MAX_JOINTS, ModelFile};
 use lacuna_physics::Motion;
 use lacuna_physics::effects::{TermInput, Terms, build_terms, registry};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell;
 use support::{Robot, fits, joints, map, shaking, typical, with_drive};
-
-thread_local! {
-    // Per thread: the test harness allocates on its own.
-    static COUNT: Cell<usize> = const { Cell::new(0) };
-}
-
-struct Counting;
-
-#[expect(unsafe_code, reason = "an allocator that counts can only be written so")]
-// SAFETY: every call is passed to the system allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        COUNT.with(|c| c.set(c.get() + 1));
-        // SAFETY: the caller's promise about `layout` is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: `pointer` came from `alloc` above with this `layout`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 fn term(robot: &Robot, effect: &str, joints: &[usize], parameters: &[(&str, f64)]) -> Term {
     Term {
@@ -180,14 +153,11 @@ fn streaming_does_not_allocate() {
                 parameters: typical(effect, &robot.file),
             }];
             let mut running = terms(&robot, &list);
-            let before = COUNT.with(Cell::get);
-            let out = stream(&robot, &mut running, 500, 0.0);
-            let made = COUNT.with(Cell::get) - before;
+            let mut out = Vec::new();
+            let made = allocation_counter::measure(|| out = stream(&robot, &mut running, 500, 0.0)).count_total;
             assert_eq!(made, 1, "{}: the list of results is the one allocation of the test itself", effect.id);
             assert!(out.iter().flatten().all(|v| v.is_finite()), "{}", effect.id);
-            let before = COUNT.with(Cell::get);
-            running.reset();
-            assert_eq!(COUNT.with(Cell::get), before, "{}: reset", effect.id);
+            assert_eq!(allocation_counter::measure(|| running.reset()).count_total, 0, "{}: reset", effect.id);
         }
     }
 }

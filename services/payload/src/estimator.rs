@@ -15,6 +15,8 @@ pub(crate) struct Row {
     pub torque: f64,
     /// 1/r [1/Nm²]; 0 while r is not known, and the row only starts it.
     pub weight: f64,
+    /// r as the update uses it: wider for an outlier [Nm²].
+    pub noise: f64,
 }
 
 /// Likelihood ratio above which another mass is believed: 5 standard deviations.
@@ -208,21 +210,28 @@ impl Estimator {
     /// Takes in a sample's rows; true if the mass changed abruptly.
     #[inline]
     pub fn update(&mut self, rows: &mut [Row], joints: &mut [Joint], dt: f64) -> bool {
-        let rate = if self.scale.1 == 0.0 { 1.0 } else { (dt / SCALE_S).min(0.1) };
-        let mut tells = false;
+        let (mut count, mut torque, mut column, mut largest) = (0.0, 0.0, 0.0, 0.0_f64);
         for row in rows.iter_mut() {
             let joint = &mut joints[row.joint];
             if !joint.known() {
                 joint.start_noise(row.residual);
                 continue;
             }
-            tells |= row.column * row.column > NO_COLUMN * self.scale.1;
             row.weight = 1.0 / joint.variance();
             self.windows.iter_mut().for_each(|w| w.add(row));
-            self.scale.0 += rate * (row.torque * row.torque - self.scale.0);
-            self.scale.1 += rate * (row.column * row.column - self.scale.1);
+            count += 1.0;
+            torque += row.torque * row.torque;
+            column += row.column * row.column;
+            largest = largest.max(row.column * row.column);
         }
-        if !tells {
+        if count == 0.0 {
+            return false;
+        }
+        let rate = if self.scale.1 == 0.0 { 1.0 } else { count * (dt / SCALE_S).min(0.1) };
+        let usual = self.scale.1;
+        self.scale.0 += rate * (torque / count - self.scale.0);
+        self.scale.1 += rate * (column / count - self.scale.1);
+        if largest <= NO_COLUMN * usual {
             return false;
         }
         self.windows.iter_mut().for_each(|w| w.samples += 1.0);
@@ -235,35 +244,46 @@ impl Estimator {
             self.inflation.drop_block();
         }
         let informed = self.variance < 0.01 * self.prior_variance;
+        // All rows are weighed against what was known before the sample: the joints have no order.
+        for row in rows.iter_mut().filter(|r| r.weight > 0.0) {
+            self.weigh(row, &mut joints[row.joint], informed, dt);
+        }
         for row in rows.iter().filter(|r| r.weight > 0.0) {
-            self.take(row, &mut joints[row.joint], informed, dt);
+            self.take(row);
         }
         stepped.is_some()
     }
 
+    /// What a row's error is taken for: its joint's noise, or more if it lies far out (Huber).
+    #[inline]
+    fn weigh(&mut self, row: &mut Row, joint: &mut Joint, informed: bool, dt: f64) {
+        row.noise = joint.variance();
+        if !informed {
+            return;
+        }
+        let innovation = row.residual - row.column * self.mass;
+        let square_column = row.column * row.column;
+        let inverse = 1.0 / (row.noise + square_column * self.variance);
+        let mut score = row.column * innovation * row.weight;
+        self.inflation.information += square_column * row.weight;
+        joint.track_noise(innovation, row.noise * inverse, dt);
+        let square = innovation * innovation * inverse;
+        if square > HUBER * HUBER {
+            let outlying = square.sqrt() / HUBER;
+            score /= outlying;
+            row.noise *= outlying;
+        }
+        self.inflation.score += score;
+    }
+
     /// One row of recursive least squares.
     #[inline]
-    fn take(&mut self, row: &Row, joint: &mut Joint, informed: bool, dt: f64) {
-        let mut noise = joint.variance();
+    fn take(&mut self, row: &Row) {
         let innovation = row.residual - row.column * self.mass;
-        let of_mass = row.column * row.column * self.variance;
-        let mut inverse = 1.0 / (noise + of_mass);
-        if informed {
-            let mut score = row.column * innovation * row.weight;
-            self.inflation.information += row.column * row.column * row.weight;
-            joint.track_noise(innovation, noise * inverse, dt);
-            let square = innovation * innovation * inverse;
-            if square > HUBER * HUBER {
-                let outlying = square.sqrt() / HUBER;
-                score /= outlying;
-                noise *= outlying;
-                inverse = 1.0 / (noise + of_mass);
-            }
-            self.inflation.score += score;
-        }
+        let inverse = 1.0 / (row.noise + row.column * row.column * self.variance);
         self.mass += self.variance * row.column * inverse * innovation;
         // (1 − Kφ) P without the cancellation.
-        self.variance *= noise * inverse;
+        self.variance *= row.noise * inverse;
     }
 
     /// The mass that the window alone gives, if it is believed more than the estimate.

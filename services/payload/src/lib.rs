@@ -158,7 +158,7 @@ impl Stage for Payload {
             let sliding = self.joints[i].slides(input.qd_rad_s[i], standing, dt, self.config.reversal_s);
             let column = input.payload_column_nm_kg[i];
             if usable && sliding && residual[i].is_finite() && column.is_finite() {
-                rows[len] = Row { joint: i, column, residual: residual[i], torque: input.tau_nm[i], weight: 0.0 };
+                rows[len] = Row { joint: i, column, residual: residual[i], torque: input.tau_nm[i], ..Row::default() };
                 len += 1;
             }
         }

@@ -1,18 +1,20 @@
 //! From a fit to the files: model, parameter table, warnings, curves.
 
 use crate::base::Structure;
+use crate::bristle;
 use crate::columns::Term;
-use crate::condition::{Conditioned, Plan};
-use crate::delay::DelayEstimate;
-use crate::evaluate::Tally;
-use crate::fit::Why;
+use crate::condition::Prepared;
+use crate::curves::report;
+use crate::fit::draft::Data;
+use crate::fit::{Solution, Why};
 use crate::hold_out::{Fitted, Held, Split, time_ranges};
 use crate::options::{Method, Options};
 use crate::outcome::{
-    Conditions, Consistency, HeldOut, Identification, JointCurves, Merged, NotExcited, Outcome, ParameterRow,
-    ReportData, SCHEMA,
+    Conditions, Consistency, HeldOut, Identification, Merged, NotExcited, Outcome, ParameterRow, SCHEMA,
 };
-use crate::paper::{ErrorTable, PaperResult};
+use crate::paper::PaperResult;
+use crate::stream::Stream;
+use crate::sums::Sums;
 use crate::warnings::{self, Findings};
 use lacuna_interfaces::model::{FrictionModel, NoiseModel, RigidBodyModel};
 use lacuna_interfaces::{BadInput, ModelFile, RobotFile};
@@ -21,20 +23,33 @@ use std::collections::BTreeMap;
 /// Everything that is known when the numbers are done.
 pub(crate) struct Account<'a> {
     pub(crate) options: &'a Options,
-    pub(crate) robot: &'a RobotFile,
-    pub(crate) structure: &'a Structure,
-    pub(crate) conditioned: &'a [Conditioned],
-    pub(crate) plan: &'a Plan,
+    pub(crate) data: Data<'a>,
     pub(crate) split: &'a Split,
-    pub(crate) fitted: &'a Fitted,
     pub(crate) held: &'a Held,
-    pub(crate) delay: Option<DelayEstimate>,
-    pub(crate) names: &'a [String],
+}
+
+impl<'a> Account<'a> {
+    fn structure(&self) -> &'a Structure {
+        self.data.stream.structure
+    }
+
+    fn robot(&self) -> &'a RobotFile {
+        self.data.stream.robot
+    }
+
+    fn fitted(&self) -> &'a Fitted {
+        &self.held.last
+    }
+
+    fn solution(&self) -> &'a Solution {
+        &self.held.last.solution
+    }
 }
 
 pub(crate) fn account(a: &Account<'_>) -> Result<Outcome, BadInput> {
     let (parameters, not_excited) = parameters(a);
-    let consistency = a.fitted.consistent.as_ref().zip(a.held.free).map(|(c, free)| {
+    let (stream, fitted, solution) = (a.data.stream, a.fitted(), a.solution());
+    let consistency = fitted.consistent.as_ref().zip(a.held.free).map(|(c, free)| {
         let ratio = |constrained: f64| (constrained.max(0.0) / c.free).sqrt();
         Consistency {
             free_relative_error: free,
@@ -43,34 +58,36 @@ pub(crate) fn account(a: &Account<'_>) -> Result<Outcome, BadInput> {
         }
     });
     let findings = Findings {
-        robot: a.robot,
-        structure: a.structure,
-        recordings: a.conditioned,
-        rows: &a.fitted.rows,
-        solution: &a.fitted.solution,
-        plan: a.plan,
+        robot: a.robot(),
+        structure: a.structure(),
+        recordings: stream.prepared,
+        survey: &a.data.sums.survey,
+        seconds: seconds(stream),
+        solution,
+        plan: stream.plan,
         held_out: &a.held.score,
         with_standstill: a.held.with_standstill,
-        delay: a.delay,
+        delay: fitted.delay,
         consistency,
     };
     let held_out = HeldOut {
         score: a.held.score.clone(),
-        moving_only: a.plan.moving_rad_s > 0.0,
-        moving_rad_s: a.plan.moving_rad_s,
-        band_hz: a.plan.band_hz,
+        moving_only: a.data.stream.plan.moving_rad_s > 0.0,
+        moving_rad_s: a.data.stream.plan.moving_rad_s,
+        band_hz: a.data.stream.plan.band_hz,
         split: a.split.name.clone(),
-        train: time_ranges(&a.split.train_ranges, a.names, a.conditioned),
-        test: time_ranges(&a.split.test_ranges, a.names, a.conditioned),
+        train: time_ranges(&a.split.train, stream.recordings),
+        test: time_ranges(&a.split.test, stream.recordings),
         folds: a.held.folds.clone(),
+        fold_delays_s: a.held.shifts_s(),
         nominal_relative_error: a.held.nominal,
         with_standstill: a.held.with_standstill,
     };
     let identification = Identification {
         schema: SCHEMA,
-        robot: a.robot.name.clone(),
-        joints: a.robot.joints.clone(),
-        torque_unit: a.robot.torque_unit.symbol().to_owned(),
+        robot: a.robot().name.clone(),
+        joints: a.robot().joints.clone(),
+        torque_unit: a.robot().torque_unit.symbol().to_owned(),
         method: match a.options.method {
             Method::Pooled => "pooled",
             Method::Paper => "paper",
@@ -80,34 +97,34 @@ pub(crate) fn account(a: &Account<'_>) -> Result<Outcome, BadInput> {
         parameters,
         not_excited,
         condition_numbers: Conditions {
-            structure: a.structure.condition,
-            data: a.fitted.solution.condition_all,
-            fitted: a.fitted.solution.condition,
+            structure: a.structure().condition,
+            data: a.solution().condition_all,
+            fitted: a.solution().condition,
         },
-        noise_nm: a.fitted.solution.sigma.clone(),
-        outlier_share: a.fitted.solution.outliers.clone(),
-        rows: a.fitted.solution.rows.clone(),
-        blocks: a.fitted.solution.blocks,
-        delay: a.delay,
-        bristle_rad: a.fitted.bristle_rad.clone(),
-        conditioning: a.plan.clone(),
+        noise_nm: a.solution().sigma.clone(),
+        outlier_share: a.solution().outliers.clone(),
+        rows: a.solution().rows.clone(),
+        blocks: a.solution().blocks,
+        delay: fitted.delay,
+        bristle_rad: fitted.bristle.iter().map(|b| bristle::width_rad(*b)).collect(),
+        conditioning: a.data.stream.plan.clone(),
         consistency,
-        paper: a.fitted.paper.as_ref().map(|(_, r)| PaperResult {
+        paper: a.fitted().paper.as_ref().map(|(_, r)| PaperResult {
             table1: a.held.table1.clone(),
             table1_moving: a.held.table1_moving.clone(),
             ..r.clone()
         }),
-        repairs: a.conditioned.iter().flat_map(|c| c.repairs.clone()).collect(),
+        repairs: stream.prepared.iter().flat_map(|p| p.repairs.clone()).collect(),
         warnings: warnings::all(&findings),
     };
     let model = model(a, &identification);
-    model.check(a.robot)?;
-    Ok(Outcome { model, identification, report: report(a) })
+    model.check(a.robot())?;
+    Ok(Outcome { model, identification, report: report(a.data, a.held) })
 }
 
 /// The parameters that the data support, and those that they do not.
 fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
-    let s = a.structure;
+    let s = a.structure();
     let symbol = |c: usize| s.columns[c].symbol.clone();
     let mut supported = Vec::new();
     let mut rest: Vec<NotExcited> = s
@@ -120,7 +137,7 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
             in_model: false,
         })
         .collect();
-    for u in &a.fitted.solution.unexcited {
+    for u in &a.solution().unexcited {
         let terms: Vec<String> = u
             .combination
             .iter()
@@ -139,12 +156,12 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
         };
         rest.push(NotExcited { symbol: symbol(s.base[u.base].column), reason, ci95: None, in_model: false });
     }
-    for &b in &a.fitted.solution.excited {
+    for &b in &a.solution().excited {
         let base = &s.base[b];
         let column = &s.columns[base.column];
-        let (free, half) = (a.fitted.solution.beta[b], a.fitted.solution.half_width(b));
+        let (free, half) = (a.solution().beta[b], a.solution().half_width(b));
         let ci95 = [free - half, free + half];
-        let value = a.fitted.consistent.as_ref().map_or(free, |c| c.beta[b]);
+        let value = a.fitted().consistent.as_ref().map_or(free, |c| c.beta[b]);
         let contribution_nm = contribution(a, b) * value.abs();
         let rigid = matches!(column.term, Term::Rigid(_)) && base.nominal != 0.0;
         // An interval that includes zero says nothing, unless there is a nominal value that it is narrower than.
@@ -155,7 +172,7 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
                 reason: format!(
                     "its interval of {half:.3e} {} includes zero; as fitted it moves {contribution_nm:.3e} {}",
                     column.unit,
-                    a.robot.torque_unit.symbol()
+                    a.robot().torque_unit.symbol()
                 ),
                 ci95: Some(ci95),
                 in_model: true,
@@ -163,7 +180,7 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
             continue;
         }
         let departure = value - base.nominal;
-        let beyond = departure.abs() > half && departure.abs() > a.robot.tolerance.mass * base.nominal.abs();
+        let beyond = departure.abs() > half && departure.abs() > a.robot().tolerance.mass * base.nominal.abs();
         supported.push(ParameterRow {
             symbol: column.symbol.clone(),
             meaning: column.meaning.clone(),
@@ -182,14 +199,16 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
 
 /// Root mean square of base column `b` over the fitted training rows of the joint where it is largest.
 fn contribution(a: &Account<'_>, b: usize) -> f64 {
+    let train = a.data.sums.cells.within(&a.split.train);
     let mut most = 0.0f64;
-    for (j, active) in a.structure.active.iter().enumerate() {
-        let Some(slot) = active.iter().position(|x| *x == b) else { continue };
-        let joint = &a.fitted.rows.joints[j];
+    for (j, layout) in a.data.stream.layout.iter().enumerate() {
+        let Some(slot) = layout.active.iter().position(|x| *x == b) else { continue };
+        let place = layout.place(slot, a.fitted().bristle[j]);
         let (mut sum, mut count) = (0.0, 0.0);
-        for k in (0..a.fitted.rows.len()).filter(|&k| a.split.train[k] && joint.fitted[k]) {
-            sum += joint.x[k * active.len() + slot].powi(2);
-            count += 1.0;
+        for cell in (0..train.len()).filter(|&c| train[c]) {
+            let own = &a.data.sums.fitted[cell][j];
+            sum += own.products()[(place, place)];
+            count += Sums::rows_in(layout, own);
         }
         if count > 0.0 {
             most = most.max((sum / count).sqrt());
@@ -200,16 +219,16 @@ fn contribution(a: &Account<'_>, b: usize) -> f64 {
 
 /// The model file: the base's values by symbol, zeros for what merged, so that the full regressor gives the fit's torque.
 fn model(a: &Account<'_>, identification: &Identification) -> ModelFile {
-    let s = a.structure;
-    let n = a.robot.joint_count();
-    let mut model = ModelFile::nominal(a.robot);
+    let s = a.structure();
+    let n = a.robot().joint_count();
+    let mut model = ModelFile::nominal(a.robot());
     let mut friction = [vec![0.0; n], vec![0.0; n], vec![0.0; n]];
     let mut rigid_body = RigidBodyModel::default();
     let mut values: BTreeMap<usize, f64> = BTreeMap::new();
     for (b, base) in s.base.iter().enumerate() {
-        values.insert(base.column, a.fitted.solution.beta[b]);
+        values.insert(base.column, a.solution().beta[b]);
     }
-    if let Some(consistent) = &a.fitted.consistent {
+    if let Some(consistent) = &a.fitted().consistent {
         // Links that could exist: nothing is merged.
         values = consistent.values.iter().copied().enumerate().collect();
     }
@@ -224,112 +243,33 @@ fn model(a: &Account<'_>, identification: &Identification) -> ModelFile {
             Term::Offset(j) => friction[2][j] = value,
         }
     }
-    if let Some((_, paper)) = &a.fitted.paper {
+    if let Some((_, paper)) = &a.fitted().paper {
         rigid_body = RigidBodyModel { rho1: Some(paper.rho1), rho2: Some(paper.rho2), ..RigidBodyModel::default() };
         // An average of regressions may come out negative; no friction is, and the friction stage refuses it.
         let positive = |list: &[f64]| list.iter().map(|v| v.max(0.0)).collect();
         friction = [positive(&paper.f_v), positive(&paper.f_c), Vec::new()];
     }
     let [f_v, f_c, offset] = friction;
-    let standstill_rad_s = if a.plan.moving_rad_s > 0.0 { vec![a.plan.moving_rad_s; n] } else { Vec::new() };
+    let standstill_rad_s =
+        if a.data.stream.plan.moving_rad_s > 0.0 { vec![a.data.stream.plan.moving_rad_s; n] } else { Vec::new() };
     model.rigid_body = rigid_body;
     model.friction = FrictionModel { f_v, f_c, offset, standstill_rad_s };
-    model.noise = NoiseModel { sd_tau_nm: a.fitted.solution.sigma.clone(), sd_q_rad: Vec::new() };
+    model.noise = NoiseModel { sd_tau_nm: a.solution().sigma.clone(), sd_q_rad: Vec::new() };
     model.origin = format!(
         "identified ({}) from {} recordings, {} parameters; held-out relative error {:.2} % ({}, {:.4} Hz{})",
         identification.method,
-        a.names.len(),
-        a.fitted.solution.excited.len(),
+        a.data.stream.recordings.len(),
+        a.solution().excited.len(),
         100.0 * identification.held_out.score.relative_error,
         identification.held_out.split,
-        a.plan.band_hz,
-        if a.plan.moving_rad_s > 0.0 { ", moving" } else { "" },
+        a.data.stream.plan.band_hz,
+        if a.data.stream.plan.moving_rad_s > 0.0 { ", moving" } else { "" },
     );
     model
 }
 
-/// μ and σ per joint of several models.
-pub(crate) fn error_tables(models: &[&str], tallies: &[Tally]) -> Vec<ErrorTable> {
-    models
-        .iter()
-        .zip(tallies)
-        .filter_map(|(model, tally)| {
-            let score = tally.score()?;
-            Some(ErrorTable { model: (*model).to_owned(), mean_nm: score.mean_nm, std_nm: score.std_nm })
-        })
-        .collect()
-}
-
-/// Most points of a curve.
-const CURVE_POINTS: usize = 4000;
-/// Bins of the residual over velocity.
-const BINS: usize = 40;
-
-fn report(a: &Account<'_>) -> ReportData {
-    let rows = &a.fitted.rows;
-    let step = rows.len().div_ceil(CURVE_POINTS).max(1);
-    let picked: Vec<usize> = (0..rows.len()).step_by(step).collect();
-    let mut starts: Vec<(f64, String)> = Vec::new();
-    let mut time_s = Vec::with_capacity(picked.len());
-    let (mut offset, mut last_recording) = (0.0, None);
-    for k in 0..rows.len() {
-        let r = rows.recording[k];
-        if last_recording != Some(r) {
-            let end = if k == 0 { 0.0 } else { offset + rows.time_s[k - 1] + rows.period_s };
-            offset = end - rows.time_s[k];
-            starts.push((end, a.names[r].clone()));
-            last_recording = Some(r);
-        }
-        if k % step == 0 {
-            time_s.push(offset + rows.time_s[k]);
-        }
-    }
-    ReportData {
-        torque_unit: a.robot.torque_unit.symbol().to_owned(),
-        time_s,
-        recordings: starts,
-        held_out: picked.iter().map(|&k| a.held.held_out[k]).collect(),
-        joints: (0..rows.joints.len()).map(|j| curves(a, j, &picked)).collect(),
-    }
-}
-
-fn curves(a: &Account<'_>, j: usize, picked: &[usize]) -> JointCurves {
-    let joint = &a.fitted.rows.joints[j];
-    let model = &a.held.model[j];
-    let (bin_qd_rad_s, bin_residual_nm, bin_std_nm) = binned(a, j);
-    JointCurves {
-        joint: a.robot.joints[j].clone(),
-        measured_nm: picked.iter().map(|&k| joint.y[k] as f32).collect(),
-        model_nm: picked.iter().map(|&k| model[k] as f32).collect(),
-        qd_rad_s: picked.iter().map(|&k| joint.qd[k] as f32).collect(),
-        counted: picked.iter().map(|&k| joint.counted[k]).collect(),
-        bin_qd_rad_s,
-        bin_residual_nm,
-        bin_std_nm,
-    }
-}
-
-/// Mean and standard deviation of the residual in bins of velocity, over counted rows.
-fn binned(a: &Account<'_>, j: usize) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
-    let joint = &a.fitted.rows.joints[j];
-    let most = joint.qd.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
-    let mut sums = [[0.0f64; 3]; BINS];
-    if most > 0.0 {
-        for k in (0..a.fitted.rows.len()).filter(|&k| joint.counted[k]) {
-            let place = (joint.qd[k] / most + 1.0) * 0.5 * BINS as f64;
-            let bin = &mut sums[(place as usize).min(BINS - 1)];
-            let e = joint.y[k] - a.held.model[j][k];
-            bin[0] += 1.0;
-            bin[1] += e;
-            bin[2] += e * e;
-        }
-    }
-    let (mut centre, mut mean, mut spread) = (Vec::new(), Vec::new(), Vec::new());
-    for (i, [count, sum, square]) in sums.iter().enumerate().filter(|(_, s)| s[0] >= 5.0) {
-        let m = sum / count;
-        centre.push((((i as f64 + 0.5) / BINS as f64 * 2.0 - 1.0) * most) as f32);
-        mean.push(m as f32);
-        spread.push((square / count - m * m).max(0.0).sqrt() as f32);
-    }
-    (centre, mean, spread)
+/// Time that the rows cover [s].
+fn seconds(stream: &Stream<'_>) -> f64 {
+    let of = |p: &Prepared| p.stretches.iter().map(|s| s.rows as f64 * p.row_period_s()).sum::<f64>();
+    stream.prepared.iter().map(of).sum()
 }

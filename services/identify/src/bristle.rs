@@ -3,100 +3,66 @@
 //! Per joint the width with the least residual over moving rows is taken, everything but f_c held at the first fit:
 //! what is left of the torque, r = τ − X β + f_c c, is regressed on each candidate direction c.
 
-use crate::base::Structure;
-use crate::columns::Term;
-use crate::condition::{BRISTLE_WIDTHS_RAD, Conditioned};
-use crate::fit::{Solution, predict};
-use crate::rows::{Rows, bristle_column};
-use lacuna_interfaces::BadInput;
-use rayon::prelude::*;
+use crate::condition::BRISTLE_WIDTHS_RAD;
+use crate::fit::draft::{Data, Draft};
+use crate::layout::Chosen;
+use lacuna_estimation::least_squares::Moments;
+use nalgebra::DVector;
 
-/// A bristle must take this share off the squared residual, in each half of the rows, to be preferred to the sign of
-/// the velocity.
+/// A bristle must take this share off the squared residual, over even and over odd blocks of time, to be preferred to the
+/// sign of the velocity.
 const WORTH: f64 = 0.02;
 
-/// Replaces the Coulomb columns by the best bristles and returns their widths [rad], per joint; `None` where the sign of
-/// the velocity is as good.
-///
-/// # Errors
-/// As [`bristle_column`].
-pub fn choose(
-    structure: &Structure,
-    conditioned: &[Conditioned],
-    rows: &mut Rows,
-    train: &[bool],
-    solution: &Solution,
-) -> Result<Vec<Option<f64>>, BadInput> {
-    let n = rows.joints.len();
-    let shared: &Rows = rows;
-    let found: Vec<Option<Choice>> = (0..n)
-        .into_par_iter()
-        .map(|j| best(structure, conditioned, shared, train, solution, j))
-        .collect::<Result<_, _>>()?;
-    let mut widths = vec![None; n];
-    for (j, choice) in found.into_iter().enumerate() {
-        let Some(Choice { width, slot, column }) = choice else { continue };
-        widths[j] = Some(width);
-        for (entry, v) in rows.joints[j].x.iter_mut().skip(slot).step_by(structure.active[j].len()).zip(column) {
-            *entry = v;
-        }
-    }
-    Ok(widths)
+/// The best bristle of every joint, by its index in [`BRISTLE_WIDTHS_RAD`]; `None` where the sign of the velocity is as
+/// good.
+pub(crate) fn choose(data: Data<'_>, draft: &Draft, beta: &DVector<f64>) -> Vec<Option<usize>> {
+    (0..data.stream.layout.len()).map(|j| best(data, draft, beta, j)).collect()
 }
 
-/// A better Coulomb column for a joint.
-struct Choice {
-    width: f64,
-    slot: usize,
-    column: Vec<f64>,
+/// The width behind a choice [rad].
+pub(crate) fn width_rad(bristle: Option<usize>) -> Option<f64> {
+    bristle.and_then(|i| BRISTLE_WIDTHS_RAD.get(i).copied())
 }
 
-fn best(
-    structure: &Structure,
-    conditioned: &[Conditioned],
-    rows: &Rows,
-    train: &[bool],
-    solution: &Solution,
-    j: usize,
-) -> Result<Option<Choice>, BadInput> {
-    let active = &structure.active[j];
-    let coulomb = |b: &usize| structure.columns[structure.base[*b].column].term == Term::Coulomb(j);
-    let Some(slot) = active.iter().position(coulomb) else { return Ok(None) };
-    let f_c = solution.beta[active[slot]];
-    let model = predict(structure, rows, &solution.beta, j);
-    let joint = &rows.joints[j];
-    let sign: Vec<f64> = joint.column(slot, active.len()).collect();
-    let used: Vec<usize> = (0..rows.len()).filter(|&k| train[k] && joint.counted[k]).collect();
-    let rest: Vec<f64> = used.iter().map(|&k| joint.y[k] - model[k] + f_c * sign[k]).collect();
-    let half = used.len() / 2;
-    let misfits = |c: &[f64]| {
-        [misfit(&rest, &used, c), misfit(&rest[..half], &used[..half], c), misfit(&rest[half..], &used[half..], c)]
+fn best(data: Data<'_>, draft: &Draft, beta: &DVector<f64>, j: usize) -> Option<usize> {
+    let layout = &data.stream.layout[j];
+    let slot = layout.coulomb?;
+    let halves = [0, 1].map(|parity| counted(data, draft, j, parity));
+    let mut rest = Chosen::plain().residual(layout, beta.as_slice());
+    rest.retain(|(place, _)| *place != slot);
+    let misfits = |place: usize| {
+        let [a, b] = [&halves[0], &halves[1]].map(|half| misfit(half, &rest, place));
+        [a + b, a, b]
     };
-    let by_sign = misfits(&sign);
+    let by_sign = misfits(slot);
     let mut least = by_sign[0];
     let mut chosen = None;
-    for (index, &width) in BRISTLE_WIDTHS_RAD.iter().enumerate() {
-        let column = bristle_column(conditioned, j, index)?;
-        if column.len() != rows.len() {
-            break;
-        }
-        let found = misfits(&column);
+    for width in 0..layout.bristles {
+        let found = misfits(layout.place(slot, Some(width)));
         let worth = found.iter().zip(by_sign).all(|(a, b)| *a < (1.0 - WORTH) * b);
         if worth && found[0] < least {
             least = found[0];
-            chosen = Some(Choice { width, slot, column });
+            chosen = Some(width);
         }
     }
-    Ok(chosen)
+    chosen
 }
 
-/// Squared residual of `rest` after regression on the used entries of `column`.
-fn misfit(rest: &[f64], used: &[usize], column: &[f64]) -> f64 {
-    let (mut rr, mut rc, mut cc) = (0.0, 0.0, 0.0);
-    for (r, &k) in rest.iter().zip(used) {
-        rr += r * r;
-        rc += r * column[k];
-        cc += column[k] * column[k];
+/// Sums over the counted training rows in blocks of one parity.
+fn counted(data: Data<'_>, draft: &Draft, j: usize, parity: usize) -> Moments {
+    let mut sum = Moments::new(data.stream.layout[j].len());
+    for cell in draft.own_cells().filter(|&c| data.sums.cells.list[c].block % 2 == parity) {
+        sum.merge(&data.sums.fitted[cell][j]);
     }
+    for piece in (0..draft.pieces.len()).filter(|&i| draft.pieces[i]) {
+        sum.merge(&data.sums.counted[2 * piece + parity][j]);
+    }
+    sum
+}
+
+/// Squared residual of `rest` after regression on the column at `place`.
+fn misfit(sum: &Moments, rest: &[(usize, f64)], place: usize) -> f64 {
+    let own = [(place, 1.0)];
+    let (rr, rc, cc) = (sum.product(rest, rest), sum.product(rest, &own), sum.product(&own, &own));
     if cc > 0.0 { rr - rc * rc / cc } else { rr }
 }

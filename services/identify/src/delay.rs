@@ -1,15 +1,19 @@
 //! How late the torque signal is against the positions.
 //!
-//! τ_measured(t) = τ(t − d) ≈ τ(t) − d τ̇(t): the residual of the fit is regressed on the time derivative of the
-//! *model* torque, which carries no measurement noise, with everything projected out that the parameters could
-//! explain as well. The standard error comes from the scores of the blocks.
+//! ```text
+//! J(d) = min_β Σ (τ(t + d) − X β)² / σ²       d by Newton's method, J′ = 2 Σ e τ̇/σ², its error from the blocks' shares
+//! ```
+//!
+//! Between samples the torque is the polynomial through seven of them. Its noise biases nothing: noise and its own
+//! derivative are uncorrelated, and moving it leaves its size as it is.
 
-use crate::base::Structure;
-use crate::fit::{Solution, block_spans, predict};
-use crate::rows::Rows;
-use lacuna_estimation::filter::{Stencil, differentiate};
-use lacuna_estimation::least_squares::{Gram, Statistics, accumulate};
+use crate::condition::Prepared;
+use crate::fit::draft::{Data, Draft};
+use crate::layout::torque_at;
+use lacuna_estimation::least_squares::Mixture;
+use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// What to do about a delay between torque and position.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -35,89 +39,125 @@ pub struct DelayEstimate {
     pub undone_s: f64,
 }
 
-/// Estimates the delay that `solution` leaves; `None` if the torque hardly changes.
-pub fn estimate(
-    structure: &Structure,
-    rows: &Rows,
-    train: &[bool],
-    solution: &Solution,
-    undone_s: f64,
-) -> Option<DelayEstimate> {
-    let p = solution.excited.len();
-    // Column p is the model torque's rate, so that one Gram matrix holds both regressor and rate.
-    let n = structure.active.len();
-    let model: Vec<Vec<f64>> = (0..n).map(|j| predict(structure, rows, &solution.beta, j)).collect();
-    let rate: Vec<Vec<f64>> = model.iter().map(|m| torque_rate(rows, m)).collect::<Option<_>>()?;
-    let place = |b: &usize| solution.excited.iter().position(|e| e == b);
-    let slots: Vec<Vec<Option<usize>>> = structure.active.iter().map(|a| a.iter().map(place).collect()).collect();
-    let spans = block_spans(rows);
-    let fill = |block: usize, gram: &mut Gram| {
-        let (mut x, mut y, mut w) = (Vec::new(), Vec::new(), Vec::new());
-        for (j, slots) in slots.iter().enumerate() {
-            let data = &rows.joints[j];
-            for k in spans[block].clone().filter(|&k| train[k] && data.fitted[k]) {
-                let at = x.len();
-                x.resize(at + p + 1, 0.0);
-                for (slot, v) in slots.iter().zip(&data.x[k * slots.len()..(k + 1) * slots.len()]) {
-                    if let Some(s) = slot {
-                        x[at + s] = *v;
-                    }
-                }
-                x[at + p] = rate[j][k];
-                y.push(data.y[k] - model[j][k]);
-                w.push(1.0 / (solution.sigma[j] * solution.sigma[j]));
-            }
+/// Newton steps to the best delay.
+const STEPS: usize = 12;
+
+/// Estimates the delay that the training cells' torque has; `None` if the torque hardly changes.
+pub(crate) fn estimate(data: Data<'_>, draft: &Draft) -> Option<DelayEstimate> {
+    let prepared = data.stream.prepared;
+    // The torque is known three working samples around a row: a delay further off is only said to be about so long.
+    let reach_s = 2.5 * prepared.iter().map(Prepared::working_period_s).fold(f64::INFINITY, f64::min);
+    let mut delay_s = 0.0;
+    let mut first_s = None;
+    for _ in 0..STEPS {
+        let step = Profile::at(data, draft, delay_s)?.step_s();
+        first_s.get_or_insert(step);
+        delay_s += step;
+        if delay_s.is_nan() || delay_s.abs() > reach_s {
+            delay_s = first_s?;
+            break;
         }
-        gram.add_rows(&x, &y, Some(&w))
-    };
-    let blocks = accumulate(rows.blocks, p + 1, fill).ok()?.blocks;
-    let mut total = Gram::new(p + 1);
-    blocks.iter().for_each(|b| total.merge(b));
-    let own: Vec<usize> = (0..p).collect();
-    let inverse = total.select(&own).solve().ok()?.inverse_gram;
-    let xtx = total.xtx();
-    let cross = xtx.view((0, p), (p, 1)).into_owned();
-    let gamma = &inverse * &cross;
-    let free = xtx[(p, p)] - cross.dot(&gamma);
-    // Below a thousandth of its length the rate is as good as a combination of the other columns.
-    if free.is_nan() || free <= 1e-6 * xtx[(p, p)] {
-        return None;
+        if step.abs() < 1e-6 * reach_s {
+            break;
+        }
     }
-    let score_of = |gram: &Gram, d: f64| {
-        let (xtx, xty) = (gram.xtx(), gram.xty());
-        let rate_e = xty[p] - (0..p).map(|i| gamma[i] * xty[i]).sum::<f64>();
-        let rate_rate = xtx[(p, p)] - 2.0 * (0..p).map(|i| gamma[i] * xtx[(i, p)]).sum::<f64>()
-            + (0..p).map(|a| (0..p).map(|b| gamma[a] * gamma[b] * xtx[(a, b)]).sum::<f64>()).sum::<f64>();
-        rate_e + d * rate_rate
-    };
-    let delay_s = -score_of(&total, 0.0) / free;
-    let filled: Vec<&Gram> = blocks.iter().filter(|b| b.rows() > 0).collect();
-    let count = filled.len() as f64;
-    let sum: f64 = filled.iter().map(|b| score_of(b, delay_s).powi(2)).sum();
-    let standard_error_s = (sum * count / (count - 1.0).max(1.0)).sqrt() / free;
-    (delay_s.is_finite() && standard_error_s.is_finite()).then_some(DelayEstimate {
-        delay_s: delay_s + undone_s,
-        standard_error_s,
-        undone_s,
-    })
+    let inside = delay_s.abs() <= reach_s;
+    let standard_error_s = Profile::at(data, draft, if inside { delay_s } else { 0.0 })?.standard_error_s();
+    let undone_s = data.stream.plan.torque_delay_s;
+    let out = DelayEstimate { delay_s: delay_s + undone_s, standard_error_s, undone_s };
+    (delay_s.is_finite() && standard_error_s.is_finite()).then_some(out)
 }
 
-/// Time derivative of a signal over rows, stretch by stretch.
-fn torque_rate(rows: &Rows, signal: &[f64]) -> Option<Vec<f64>> {
-    let mut rate = vec![0.0; signal.len()];
-    let mut start = 0;
-    for k in 1..=signal.len() {
-        if k < signal.len() && rows.stretch[k] == rows.stretch[start] {
-            continue;
+/// A delay is undone if it is certain, worth the trouble and one that sampling explains.
+pub(crate) fn worth_undoing(d: &DelayEstimate, data: Data<'_>, draft: &Draft) -> bool {
+    let trained = |r: usize| draft.own_cells().any(|c| data.sums.cells.list[c].recording == r);
+    let recordings = data.stream.prepared.iter().enumerate().filter(|(r, _)| trained(*r));
+    let period = recordings.map(|(_, p)| 1.0 / p.sample_rate_hz).fold(0.0, f64::max);
+    let size = d.delay_s.abs();
+    size > 4.0 * d.standard_error_s && size > 0.02 * period && size <= 2.0 * period
+}
+
+/// Squared residual J over the delay, with β free, about one delay.
+struct Profile {
+    /// Half of J′ and of J″.
+    slope: f64,
+    bend: f64,
+    /// Half of J′ block by block, β held.
+    scores: Vec<f64>,
+}
+
+impl Profile {
+    /// `None` if the torque's rate is as good as a combination of the columns.
+    fn at(data: Data<'_>, draft: &Draft, delay_s: f64) -> Option<Self> {
+        let p = draft.choice.excited.len();
+        let mut blocks: BTreeMap<usize, DMatrix<f64>> = BTreeMap::new();
+        for cell in draft.own_cells() {
+            let own = blocks.entry(data.sums.cells.list[cell].block).or_insert_with(|| DMatrix::zeros(p + 3, p + 3));
+            add_cell(data, draft, cell, delay_s, own);
         }
-        let period =
-            if k - start > 1 { (rows.time_s[k - 1] - rows.time_s[start]) / (k - 1 - start) as f64 } else { 0.0 };
-        // Seven points are needed; a stretch of fewer rows adds nothing.
-        if k - start >= 7 {
-            let part = differentiate(&signal[start..k], period, Stencil::Seven, 1).ok()?;
-            rate[start..k].copy_from_slice(&part);
+        let total = blocks.values().fold(DMatrix::zeros(p + 3, p + 3), |sum, b| sum + b);
+        let scale = DVector::from_fn(p, |i, _| if total[(i, i)] > 0.0 { 1.0 / total[(i, i)].sqrt() } else { 0.0 });
+        let xtx = total.view((0, 0), (p, p)).component_mul(&(&scale * scale.transpose()));
+        let factor = xtx.cholesky()?;
+        let solve = |column: usize| {
+            let rhs = total.view((0, column), (p, 1)).column(0).component_mul(&scale);
+            factor.solve(&rhs).component_mul(&scale)
+        };
+        // What is left of the torque and its two derivatives beside the columns.
+        let left: Vec<DVector<f64>> = (0..3)
+            .map(|k| {
+                let beta = solve(p + k);
+                let mut c = DVector::zeros(p + 3);
+                c.rows_mut(0, p).copy_from(&-beta);
+                c[p + k] = 1.0;
+                c
+            })
+            .collect();
+        let product = |m: &DMatrix<f64>, a: usize, b: usize| left[a].dot(&(m * &left[b]));
+        let bend = product(&total, 1, 1) + product(&total, 0, 2);
+        if bend.is_nan() || bend <= 1e-6 * total[(p + 1, p + 1)] {
+            return None;
         }
-        start = k;
+        let scores = blocks.values().filter(|b| b.diagonal().sum() > 0.0).map(|b| product(b, 0, 1)).collect();
+        Some(Self { slope: product(&total, 0, 1), bend, scores })
     }
-    Some(rate)
+
+    fn step_s(&self) -> f64 {
+        -self.slope / self.bend
+    }
+
+    fn standard_error_s(&self) -> f64 {
+        let count = self.scores.len() as f64;
+        let mean = self.slope / count.max(1.0);
+        let sum: f64 = self.scores.iter().map(|s| (s - mean).powi(2)).sum();
+        (sum * count / (count - 1.0).max(1.0)).sqrt() / self.bend
+    }
+}
+
+/// Adds a cell's weighted products of the excited columns, the torque and its two derivatives, the torque read later by
+/// `delay_s`.
+fn add_cell(data: Data<'_>, draft: &Draft, cell: usize, delay_s: f64, into: &mut DMatrix<f64>) {
+    let p = draft.choice.excited.len();
+    let place = |b: usize| draft.choice.excited.iter().position(|e| *e == b);
+    let period = data.stream.prepared[data.sums.cells.list[cell].recording].working_period_s();
+    for (j, layout) in data.stream.layout.iter().enumerate() {
+        let chosen = draft.chosen(data, cell, j);
+        let mut mixture: Vec<Mixture> = Vec::new();
+        for (slot, &b) in layout.active.iter().enumerate() {
+            match place(b) {
+                Some(column) => mixture.push((layout.place(slot, chosen.bristle), column, 1.0)),
+                // Columns that are not fitted keep their torque.
+                None if draft.beta[b] != 0.0 => {
+                    mixture.push((layout.place(slot, chosen.bristle), p, -draft.beta[b]));
+                }
+                None => {}
+            }
+        }
+        for derivative in 0..3 {
+            let weights = torque_at(delay_s / period, derivative);
+            let per_s = period.powi(-(derivative as i32));
+            mixture.extend(weights.iter().enumerate().map(|(m, w)| (layout.torque() + m, p + derivative, w * per_s)));
+        }
+        data.sums.fitted[cell][j].mix_into(into, &mixture, 1.0 / (draft.sigma[j] * draft.sigma[j]));
+    }
 }

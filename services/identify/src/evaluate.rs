@@ -75,6 +75,25 @@ impl Tally {
         }
     }
 
+    /// Adds sums over `rows` residuals of a joint: Σe, Σe² and Στ². `scale` is s_j.
+    pub(crate) fn add_sums(
+        &mut self,
+        joint: usize,
+        [rows, error, error_squared, torque_squared]: [f64; 4],
+        scale: f64,
+    ) {
+        if self.joints.len() <= joint {
+            self.joints.resize(joint + 1, JointTally::default());
+        }
+        let sum = &mut self.joints[joint];
+        sum.rows += rows;
+        sum.error += error;
+        sum.error_squared += error_squared;
+        sum.torque_squared += torque_squared;
+        sum.scaled_error_squared += error_squared / (scale * scale);
+        sum.scaled_torque_squared += torque_squared / (scale * scale);
+    }
+
     /// The pooled score; `None` without a test row.
     pub fn score(&self) -> Option<Score> {
         let (e, t) =

@@ -1,18 +1,24 @@
 //! The pipeline: read, condition, find the minimal set, fit, hold out, account.
 
 use crate::account::{self, Account};
-use crate::base::{Structure, structure};
+use crate::base::structure;
 use crate::columns::{Signal, columns};
-use crate::condition::{Conditioned, Plan, condition};
-use crate::delay::{self, Delay, DelayEstimate};
-use crate::hold_out::{Context, Fitted, Split, hold_out};
+use crate::condition::{Plan, Prepared, prepare};
+use crate::delay::Delay;
+use crate::fit::draft::Data;
+use crate::fit::robust::{Kept, Store};
+use crate::hold_out::{Context, Split, hold_out};
 use crate::options::{Files, Method, Options};
 use crate::outcome::Outcome;
-use crate::rows::{Rows, rows};
 use crate::split::Span;
+use crate::stream::{PartRows, Stream};
+use crate::sums::{Cells, Sums};
 use lacuna_interfaces::{BadInput, Recording, RobotFile};
 use lacuna_physics::RigidBody;
 use rayon::prelude::*;
+
+/// Most blocks of time by default.
+const MOST_BLOCKS: f64 = 400.0;
 
 /// Identifies a model from the recordings that `options` names. `progress` hears a share from 0 to 1 and what is done.
 ///
@@ -65,41 +71,50 @@ pub fn identify_recordings(
     if let Delay::Fixed(d) = options.delay {
         plan.torque_delay_s = checked_delay(d)?;
     }
+    progress(0.2, "repairing");
+    let prepared: Vec<Prepared> = recordings
+        .par_iter_mut()
+        .map(|r| prepare(r, robot, &plan))
+        .collect::<Vec<_>>()
+        .into_iter()
+        .collect::<Result<_, _>>()?;
+    let stream = Stream::new(body, robot, &structure, &plan, &recordings, &prepared);
+    let split = Split::of(&stream, options, ranges)?;
+    let cells = Cells::new(&stream, &split.spans(), block_s(options, &plan, &recordings));
+    check_rows(&cells, &split)?;
+    progress(0.3, "filtering");
+    let mut store = Store::default();
+    let room = Store::room(&stream);
+    let known = cells.clone();
+    let keep = |i: usize, rows: &PartRows| (options.robust && i < room).then(|| Kept::of(&stream.layout, &known, rows));
+    let sums = Sums::new(&stream, cells, keep, |kept| store.push(kept))?;
+    progress(0.6, "fitting and holding out");
     let names: Vec<String> = recordings.iter().map(|r| r.name.clone()).collect();
-    progress(0.2, "filtering");
-    let mut data = Data::new(robot, body, &structure, &recordings, plan, options.block_s)?;
-    let mut split = Split::of(&data.rows, options, recordings.len(), ranges, &data.plan)?;
-    progress(0.5, "fitting");
-    let mut fitted = data.context(options, body, &structure, &names).fit(&split.train)?;
-    let mut delay = None;
-    if options.delay != Delay::Off {
-        let estimate = |fitted: &Fitted, split: &Split, undone| {
-            delay::estimate(&structure, &fitted.rows, &split.train, &fitted.solution, undone)
-        };
-        delay = estimate(&fitted, &split, data.plan.torque_delay_s);
-        if let (Delay::Estimate, Some(late)) = (options.delay, delay.filter(|d| worth_undoing(d, &data))) {
-            let plan = Plan { torque_delay_s: late.delay_s, ..data.plan.clone() };
-            data = Data::new(robot, body, &structure, &recordings, plan, options.block_s)?;
-            split = Split::of(&data.rows, options, recordings.len(), ranges, &data.plan)?;
-            fitted = data.context(options, body, &structure, &names).fit(&split.train)?;
-            delay = estimate(&fitted, &split, late.delay_s);
+    let data = Data { stream: &stream, sums: &sums };
+    let held = hold_out(&Context { options, data, store: &store, names: &names }, &split)?;
+    progress(0.9, "accounting");
+    account::account(&Account { options, data, split: &split, held: &held })
+}
+
+/// Length of a block of time: so long that blocks are independent, so many that they tell the spread, and not so many that
+/// their sums take memory in proportion to the recordings.
+fn block_s(options: &Options, plan: &Plan, recordings: &[Recording]) -> f64 {
+    let total: f64 = recordings.iter().map(Recording::duration_s).sum();
+    let shortest = 8.0 / plan.band_hz;
+    let own = (total / 100.0).clamp(shortest, shortest.max(2.0)).max(total / MOST_BLOCKS);
+    options.block_s.filter(|b| b.is_finite() && *b > 0.0).unwrap_or(own)
+}
+
+fn check_rows(cells: &Cells, split: &Split) -> Result<(), BadInput> {
+    if cells.list.is_empty() {
+        return Err(BadInput::new("found no rows between the ends of the recordings; expected longer recordings"));
+    }
+    for (what, spans) in [("train", &split.train), ("test", &split.test)] {
+        if !cells.within(spans).contains(&true) {
+            return Err(BadInput::new(format!("{what}: found no row in the given range; expected some")));
         }
     }
-    progress(0.7, "holding out");
-    let held = hold_out(&data.context(options, body, &structure, &names), &split, &fitted)?;
-    progress(0.9, "accounting");
-    account::account(&Account {
-        options,
-        robot,
-        structure: &structure,
-        conditioned: &data.conditioned,
-        plan: &data.plan,
-        split: &split,
-        fitted: &fitted,
-        held: &held,
-        delay,
-        names: &names,
-    })
+    Ok(())
 }
 
 fn checked_delay(d: f64) -> Result<f64, BadInput> {
@@ -107,13 +122,6 @@ fn checked_delay(d: f64) -> Result<f64, BadInput> {
         return Ok(d);
     }
     Err(BadInput::new(format!("delay: found {d} s; expected a number of seconds below 1")))
-}
-
-/// A delay is undone if it is certain, worth the trouble and one that sampling explains.
-fn worth_undoing(d: &DelayEstimate, data: &Data) -> bool {
-    let period = data.conditioned.iter().map(|c| 1.0 / c.sample_rate_hz).fold(0.0, f64::max);
-    let size = d.delay_s.abs();
-    size > 4.0 * d.standard_error_s && size > 0.02 * period && size <= 2.0 * period
 }
 
 fn subtract_link_torque(recording: &mut Recording, robot: &RobotFile) -> Result<(), BadInput> {
@@ -139,48 +147,4 @@ fn subtract_link_torque(recording: &mut Recording, robot: &RobotFile) -> Result<
         }
     }
     Ok(())
-}
-
-/// Conditioned recordings and their rows.
-struct Data {
-    plan: Plan,
-    conditioned: Vec<Conditioned>,
-    rows: Rows,
-}
-
-impl Data {
-    fn new(
-        robot: &RobotFile,
-        body: &dyn RigidBody,
-        structure: &Structure,
-        recordings: &[Recording],
-        plan: Plan,
-        block_s: Option<f64>,
-    ) -> Result<Self, BadInput> {
-        let conditioned: Vec<Conditioned> = recordings
-            .par_iter()
-            .map(|r| condition(r, robot, &plan))
-            .collect::<Vec<_>>()
-            .into_iter()
-            .collect::<Result<_, _>>()?;
-        let total: f64 = recordings.iter().map(Recording::duration_s).sum();
-        let shortest = 8.0 / plan.band_hz;
-        let block_s =
-            block_s.filter(|b| b.is_finite() && *b > 0.0).unwrap_or((total / 100.0).clamp(shortest, shortest.max(2.0)));
-        let rows = rows(body, structure, &conditioned, &plan, block_s)?;
-        if rows.is_empty() {
-            return Err(BadInput::new("found no rows between the ends of the recordings; expected longer recordings"));
-        }
-        Ok(Self { plan, conditioned, rows })
-    }
-
-    fn context<'a>(
-        &'a self,
-        options: &'a Options,
-        body: &'a dyn RigidBody,
-        structure: &'a Structure,
-        names: &'a [String],
-    ) -> Context<'a> {
-        Context { options, body, structure, conditioned: &self.conditioned, rows: &self.rows, names }
-    }
 }

@@ -2,13 +2,16 @@
 //! not seen, and warnings in words.
 //!
 //! ```text
-//! recordings ─ condition ─ rows (filtered regressor of the minimal set) ─ fit ─ held-out error, intervals ─ model.toml
+//! recordings ─ part by part: condition ─ rows (filtered regressor of the minimal set) ─ sums
+//!                                                     sums ─ fits, held-out error, intervals ─ model.toml
 //! ```
 //!
 //! | module | does |
 //! |---|---|
 //! | [`condition`] | repair, regular sampling, filters, derivatives, masks (shared with the diagnosis) |
-//! | [`columns`], [`base`], [`rows`] | the linear model, its minimal identifiable set, its filtered rows |
+//! | [`columns`], [`base`] | the linear model and its minimal identifiable set |
+//! | `stream`, `layout`, `sums` | filtered rows part by part, what is kept of each, sums over blocks of time |
+//! | [`rows`] | all rows in memory, for what needs them |
 //! | [`fit`] | weighted robust fit with a covariance for correlated residuals |
 //! | [`bristle`], [`delay`] | nuisances: Coulomb friction after a reversal, torque delay |
 //! | [`consistent`] | links that could exist: positive definite pseudo-inertias |
@@ -23,17 +26,22 @@ pub mod bristle;
 pub mod columns;
 pub mod condition;
 pub mod consistent;
+mod curves;
 pub mod delay;
 pub mod evaluate;
 pub mod excite;
 pub mod fit;
 mod hold_out;
 mod identify;
+mod layout;
 mod options;
 pub mod outcome;
 pub mod paper;
+mod paper_tables;
 pub mod rows;
 pub mod split;
+mod stream;
+mod sums;
 mod warnings;
 
 pub use columns::Signal;

@@ -84,6 +84,8 @@ pub struct HeldOut {
     pub test: Vec<TimeRange>,
     /// Relative error of every fold.
     pub folds: Vec<f64>,
+    /// Delay of the torque that was undone in every fold, as its training data alone have it [s].
+    pub fold_delays_s: Vec<f64>,
     /// Relative error of the robot file's own model (no friction) on the same rows; absent if it has no masses.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub nominal_relative_error: Option<f64>,

@@ -1,25 +1,18 @@
-//! Filtered regressor rows of conditioned recordings.
-//!
-//! The working signals are taken in pieces of bounded length, overlapping by what the band filter forgets, so that
-//! memory beyond the rows themselves does not grow with the recording, and pieces run in parallel.
+//! Filtered regressor rows of all recordings in memory: for what needs every row (the paper's method) and as a
+//! reference. The pooled fit works on [`crate::sums`] instead.
 
 use crate::base::Structure;
-use crate::columns::{Evaluator, Sample, unreachable};
-use crate::condition::{Conditioned, Plan, Stretch};
-use lacuna_interfaces::BadInput;
-use lacuna_physics::{Motion, RigidBody};
-use rayon::prelude::*;
-
-/// Working samples per piece.
-const PIECE: usize = 8192;
-/// Overlap of pieces in periods of the band. The slowest pole of a fourth-order Butterworth low-pass decays with
-/// e^(−2.4 band t): to 1e-8 in 8 periods.
-const OVERLAP: f64 = 8.0;
+use crate::condition::{Plan, prepare};
+use crate::layout::Chosen;
+use crate::split::Span;
+use crate::stream::{Class, PartRows, Stream};
+use lacuna_interfaces::{BadInput, Recording, RobotFile};
+use lacuna_physics::RigidBody;
 
 /// Rows of one joint.
 #[derive(Debug, Clone, Default)]
 pub struct JointRows {
-    /// Regressor, row-major: one entry per active base column of the joint ([`Structure::active`]).
+    /// Regressor, row-major: one entry per active base column of the joint ([`crate::base::Structure::active`]).
     pub x: Vec<f64>,
     /// Torque [Nm or the robot file's unit].
     pub y: Vec<f64>,
@@ -42,14 +35,6 @@ pub struct Rows {
     pub time_s: Vec<f64>,
     /// Recording of every row.
     pub recording: Vec<usize>,
-    /// Consecutive number of the gap-free stretch of every row.
-    pub stretch: Vec<usize>,
-    /// Block of every row: the unit of the covariance's resampling.
-    pub block: Vec<usize>,
-    /// Number of blocks.
-    pub blocks: usize,
-    /// Time between rows within a stretch [s], of the first stretch.
-    pub period_s: f64,
 }
 
 impl JointRows {
@@ -69,163 +54,63 @@ impl Rows {
     pub fn is_empty(&self) -> bool {
         self.time_s.is_empty()
     }
+
+    /// Rows within any of `spans`.
+    pub fn select(&self, spans: &[Span]) -> Vec<bool> {
+        let holds = |(r, t): (&usize, &f64)| spans.iter().any(|s| s.holds(*r, *t));
+        self.recording.iter().zip(&self.time_s).map(holds).collect()
+    }
 }
 
-/// Rows of all recordings. Blocks are `block_s` long.
+/// All rows of recordings, every stretch filtered in one piece; Coulomb friction by the sign of the velocity.
 ///
 /// # Errors
-/// [`BadInput`] naming the recording and the time of a pose that the robot cannot take.
+/// [`BadInput`] naming the recording, where it cannot be conditioned or the robot cannot take a pose.
 pub fn rows(
     body: &dyn RigidBody,
+    robot: &RobotFile,
     structure: &Structure,
-    recordings: &[Conditioned],
     plan: &Plan,
-    block_s: f64,
+    recordings: &[Recording],
 ) -> Result<Rows, BadInput> {
-    let mut pieces = Vec::new();
-    for (r, recording) in recordings.iter().enumerate() {
-        for stretch in &recording.stretches {
-            pieces.extend(cut(stretch, plan).into_iter().map(|p| (r, stretch, p)));
-        }
-    }
-    let computed: Vec<Result<Vec<JointRows>, BadInput>> = pieces
-        .par_iter()
-        .map(|(r, stretch, piece)| {
-            compute(body, structure, stretch, piece).map_err(|e| e.in_file(&recordings[*r].name))
-        })
-        .collect();
-    let n = structure.active.len();
-    let mut out = Rows { joints: vec![JointRows::default(); n], ..Rows::default() };
-    let mut seen: Option<(*const Stretch, usize)> = None;
-    for ((r, stretch, piece), part) in pieces.iter().zip(computed) {
-        let fresh = seen.is_none_or(|(s, _)| !std::ptr::eq(s, *stretch));
-        let index = seen.map_or(0, |(_, i)| i + usize::from(fresh));
-        seen = Some((*stretch, index));
-        if out.is_empty() {
-            out.period_s = stretch.row_period_s();
-        }
-        append(&mut out, part?, *r, index, stretch, piece);
-    }
-    number_blocks(&mut out, block_s);
-    Ok(out)
+    let mut own = recordings.to_vec();
+    let prepared = own.iter_mut().map(|r| prepare(r, robot, plan)).collect::<Result<Vec<_>, _>>()?;
+    let stream = Stream::in_parts(body, robot, structure, plan, &own, &prepared, usize::MAX);
+    gather(&stream, |_, _| Chosen::plain())
 }
 
-/// Filtered direction of sliding of `joint` at every row, by the bristle of index `width`.
+/// All rows of a stream, with the columns that `chosen` names by recording and joint.
 ///
 /// # Errors
-/// [`BadInput`] if a stretch is too short to filter, which [`rows`] would have said before.
-pub fn bristle_column(recordings: &[Conditioned], joint: usize, width: usize) -> Result<Vec<f64>, BadInput> {
-    let mut out = Vec::new();
-    for stretch in recordings.iter().flat_map(|r| &r.stretches) {
-        let Some(column) = stretch.bristles.get(joint).and_then(|b| b.get(width)) else { continue };
-        let mut column = column.clone();
-        stretch.band(&mut [&mut column])?;
-        out.extend(stretch.rows().map(|k| column[k]));
-    }
+/// As [`Stream::rows_of`].
+pub(crate) fn gather(stream: &Stream<'_>, chosen: impl Fn(usize, usize) -> Chosen) -> Result<Rows, BadInput> {
+    let mut out = Rows { joints: vec![JointRows::default(); stream.layout.len()], ..Rows::default() };
+    stream.pass(
+        |_, part| stream.rows_of(part, None),
+        |rows| {
+            append(stream, &mut out, &rows, &chosen);
+            Ok(())
+        },
+    )?;
     Ok(out)
 }
 
-/// Working samples of a piece, and which of them become rows.
-struct Piece {
-    span: std::ops::Range<usize>,
-    rows: Vec<usize>,
-}
-
-fn cut(stretch: &Stretch, plan: &Plan) -> Vec<Piece> {
-    let overlap = (OVERLAP / (plan.band_hz * stretch.period_s)).ceil() as usize;
-    let all: Vec<usize> = stretch.rows().collect();
-    let per_piece = (PIECE / stretch.row_step.max(1)).max(1);
-    all.chunks(per_piece)
-        .map(|rows| {
-            let (first, last) = (rows[0], rows[rows.len() - 1]);
-            // The stretch's own ends are not cut: there the filter's padding is what the whole stretch would have.
-            let start = if first < overlap + stretch.cut { 0 } else { first - overlap };
-            let end = if last + overlap + stretch.cut >= stretch.len() { stretch.len() } else { last + overlap + 1 };
-            Piece { span: start..end, rows: rows.to_vec() }
-        })
-        .collect()
-}
-
-fn compute(
-    body: &dyn RigidBody,
-    structure: &Structure,
-    stretch: &Stretch,
-    piece: &Piece,
-) -> Result<Vec<JointRows>, BadInput> {
-    let n = structure.active.len();
-    let span = piece.span.clone();
-    let len = span.len();
-    let mut columns: Vec<Vec<Vec<f64>>> = structure.active.iter().map(|a| vec![vec![0.0; len]; a.len()]).collect();
-    let mut evaluator = Evaluator::new(body, &structure.columns);
-    let (mut q, mut qd, mut qdd, mut sign) = (vec![0.0; n], vec![0.0; n], vec![0.0; n], vec![0.0; n]);
-    for (i, k) in span.clone().enumerate() {
-        for j in 0..n {
-            q[j] = stretch.q_rad[j][k];
-            qd[j] = stretch.qd_rad_s[j][k];
-            qdd[j] = stretch.qdd_rad_s2[j][k];
-            sign[j] = stretch.sign[j][k];
-        }
-        let sample = Sample { motion: Motion { q_rad: &q, qd_rad_s: &qd, qdd_rad_s2: &qdd }, sign: &sign };
-        evaluator.at(&sample).map_err(|e| unreachable(stretch.time_s(k), e))?;
-        for (j, active) in structure.active.iter().enumerate() {
-            for (slot, &b) in active.iter().enumerate() {
-                columns[j][slot][i] = evaluator.entry(&sample, j, structure.base[b].column);
-            }
+fn append(stream: &Stream<'_>, out: &mut Rows, rows: &PartRows, chosen: &impl Fn(usize, usize) -> Chosen) {
+    let part = &rows.part;
+    for (j, ((to, from), layout)) in out.joints.iter_mut().zip(&rows.joints).zip(&stream.layout).enumerate() {
+        let chosen = chosen(part.recording, j);
+        let y = chosen.y(layout);
+        for (k, z) in from.z.chunks_exact(layout.len()).enumerate() {
+            to.x.extend((0..layout.width()).map(|slot| z[layout.place(slot, chosen.bristle)]));
+            to.y.push(y.iter().map(|&(i, f)| f * z[i]).sum());
+            to.qd.push(from.qd[k]);
+            to.usable.push(from.class[k] >= Class::Standing);
+            to.counted.push(from.class[k] >= Class::Counted);
+            to.fitted.push(from.class[k] == Class::Fitted);
         }
     }
-    let mut torque: Vec<Vec<f64>> = stretch.tau_nm.iter().map(|c| c[span.clone()].to_vec()).collect();
-    let mut all: Vec<&mut [f64]> =
-        columns.iter_mut().flatten().chain(torque.iter_mut()).map(Vec::as_mut_slice).collect();
-    stretch.band(&mut all)?;
-    Ok((0..n).map(|j| pick(stretch, piece, j, &columns[j], &torque[j])).collect())
-}
-
-fn pick(stretch: &Stretch, piece: &Piece, j: usize, columns: &[Vec<f64>], torque: &[f64]) -> JointRows {
-    let at = piece.span.start;
-    let mut out = JointRows::default();
-    out.x.reserve(piece.rows.len() * columns.len());
-    for &k in &piece.rows {
-        out.x.extend(columns.iter().map(|c| c[k - at]));
-        out.y.push(torque[k - at]);
-        out.qd.push(stretch.qd_rad_s[j][k]);
-        out.usable.push(stretch.usable[k]);
-        out.counted.push(stretch.counted[j][k]);
-        out.fitted.push(stretch.fitted[j][k]);
+    for row in part.rows.clone() {
+        out.time_s.push(stream.time_s(part.recording, part.stretch, row));
+        out.recording.push(part.recording);
     }
-    out
-}
-
-fn append(out: &mut Rows, part: Vec<JointRows>, recording: usize, index: usize, stretch: &Stretch, piece: &Piece) {
-    for (to, from) in out.joints.iter_mut().zip(part) {
-        to.x.extend(from.x);
-        to.y.extend(from.y);
-        to.qd.extend(from.qd);
-        to.usable.extend(from.usable);
-        to.counted.extend(from.counted);
-        to.fitted.extend(from.fitted);
-    }
-    for &k in &piece.rows {
-        out.time_s.push(stretch.time_s(k));
-        out.recording.push(recording);
-        out.stretch.push(index);
-    }
-}
-
-/// Cuts every stretch into equal blocks of about `block_s`.
-fn number_blocks(rows: &mut Rows, block_s: f64) {
-    let len = rows.len();
-    rows.block = vec![0; len];
-    let mut next = 0;
-    let mut start = 0;
-    while start < len {
-        let end = (start..len).find(|&k| rows.stretch[k] != rows.stretch[start]).unwrap_or(len);
-        let duration = rows.time_s[end - 1] - rows.time_s[start];
-        let count = (duration / block_s).round().max(1.0) as usize;
-        for k in start..end {
-            rows.block[k] = next + (k - start) * count / (end - start);
-        }
-        next += count;
-        start = end;
-    }
-    rows.blocks = next;
 }

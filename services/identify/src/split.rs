@@ -1,6 +1,5 @@
 //! Which rows train and which test.
 
-use crate::rows::Rows;
 use lacuna_interfaces::BadInput;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -88,16 +87,16 @@ pub struct TimeRange {
     pub to_s: f64,
 }
 
-/// Rows that train and rows that test.
+/// Time that trains and time that tests.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fold {
-    /// `train[row]`.
-    pub train: Vec<bool>,
-    /// `test[row]`.
-    pub test: Vec<bool>,
+    /// Training spans.
+    pub train: Vec<Span>,
+    /// Test spans.
+    pub test: Vec<Span>,
 }
 
-/// A range of one recording by its index.
+/// A range of one recording by its index; both ends belong to it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Span {
     /// Recording.
@@ -108,22 +107,25 @@ pub struct Span {
     pub to_s: f64,
 }
 
-/// Rows within any of `spans`.
-pub fn select(rows: &Rows, spans: &[Span]) -> Vec<bool> {
-    (0..rows.len())
-        .map(|k| {
-            let t = rows.time_s[k];
-            spans.iter().any(|s| s.recording == rows.recording[k] && s.from_s <= t && t <= s.to_s)
-        })
-        .collect()
+impl Span {
+    /// All of a recording.
+    pub fn whole(recording: usize) -> Self {
+        Self { recording, from_s: f64::NEG_INFINITY, to_s: f64::INFINITY }
+    }
+
+    /// Whether the time `t_s` of a recording lies in it.
+    pub fn holds(&self, recording: usize, t_s: f64) -> bool {
+        self.recording == recording && self.from_s <= t_s && t_s <= self.to_s
+    }
 }
 
-/// The folds of a holdout over all rows. `gap_s` around a boundary within a recording belongs to neither side: there the
-/// filter mixes both.
+/// The folds of a holdout. `extent` holds the times of the first and the last row of every recording. `gap_s` around a
+/// boundary within a recording belongs to neither side: there the filter mixes both.
 ///
 /// # Errors
 /// [`BadInput`] if there are fewer recordings than folds need.
-pub fn folds(rows: &Rows, holdout: Holdout, recordings: usize, gap_s: f64) -> Result<Vec<Fold>, BadInput> {
+pub fn folds(extent: &[(f64, f64)], holdout: Holdout, gap_s: f64) -> Result<Vec<Fold>, BadInput> {
+    let recordings = extent.len();
     let parts = match holdout {
         Holdout::Recordings => {
             if recordings < 2 {
@@ -131,35 +133,33 @@ pub fn folds(rows: &Rows, holdout: Holdout, recordings: usize, gap_s: f64) -> Re
                     "holdout: found {recordings} recording; expected at least 2 to hold one out (or use halves)"
                 )));
             }
-            return Ok((0..recordings)
-                .map(|r| {
-                    let test: Vec<bool> = rows.recording.iter().map(|k| *k == r).collect();
-                    Fold { train: test.iter().map(|t| !t).collect(), test }
-                })
-                .filter(|fold| fold.test.contains(&true))
-                .collect());
+            let others = |r: usize| (0..recordings).filter(move |o| *o != r).map(Span::whole).collect();
+            return Ok((0..recordings).map(|r| Fold { train: others(r), test: vec![Span::whole(r)] }).collect());
         }
         Holdout::Halves => 2,
         Holdout::Kfold(n) => n.max(2),
     };
-    let mut extent = vec![(f64::INFINITY, f64::NEG_INFINITY); recordings];
-    for (&r, &t) in rows.recording.iter().zip(&rows.time_s) {
-        extent[r] = (extent[r].0.min(t), extent[r].1.max(t));
-    }
     Ok((0..parts)
         .map(|part| {
-            let side = |k: usize, margin: f64| {
-                let (from, to) = extent[rows.recording[k]];
+            let mut fold = Fold { train: Vec::new(), test: Vec::new() };
+            for (recording, &(from, to)) in extent.iter().enumerate() {
                 let width = (to - from) / parts as f64;
+                let (low, high) = (from + part as f64 * width, from + (part + 1) as f64 * width);
                 // The very ends have no neighbour to keep away from.
-                let low = if part == 0 { f64::NEG_INFINITY } else { from + part as f64 * width - margin };
-                let high = if part + 1 == parts { f64::INFINITY } else { from + (part + 1) as f64 * width + margin };
-                (low..=high).contains(&rows.time_s[k])
-            };
-            Fold {
-                train: (0..rows.len()).map(|k| !side(k, 0.5 * gap_s)).collect(),
-                test: (0..rows.len()).map(|k| side(k, -0.5 * gap_s)).collect(),
+                let (first, last) = (part == 0, part + 1 == parts);
+                let from_s = if first { f64::NEG_INFINITY } else { low + 0.5 * gap_s };
+                let to_s = if last { f64::INFINITY } else { high - 0.5 * gap_s };
+                fold.test.push(Span { recording, from_s, to_s });
+                if !first {
+                    let to_s = (low - 0.5 * gap_s).next_down();
+                    fold.train.push(Span { recording, from_s: f64::NEG_INFINITY, to_s });
+                }
+                if !last {
+                    let from_s = (high + 0.5 * gap_s).next_up();
+                    fold.train.push(Span { recording, from_s, to_s: f64::INFINITY });
+                }
             }
+            fold
         })
         .collect())
 }
@@ -186,21 +186,24 @@ mod tests {
 
     #[test]
     fn folds_partition_time() {
-        let rows = Rows {
-            time_s: (0..100).map(|k| (k % 50) as f64).collect(),
-            recording: (0..100).map(|k| k / 50).collect(),
-            ..Rows::default()
-        };
-        let halves = folds(&rows, Holdout::Halves, 2, 4.0).unwrap();
-        assert_eq!(halves.len(), 2);
-        for k in 0..100 {
-            let tested: usize = halves.iter().map(|f| usize::from(f.test[k])).sum();
-            let near = (rows.time_s[k] - 24.5).abs() < 2.0;
-            assert_eq!(tested, usize::from(!near), "row {k}");
-            assert!(!halves.iter().any(|f| f.test[k] && f.train[k]));
+        let extent = [(0.0, 49.0), (0.0, 49.0)];
+        let holds = |spans: &[Span], r: usize, t: f64| spans.iter().any(|s| s.holds(r, t));
+        let halves = folds(&extent, Holdout::Halves, 4.0).unwrap();
+        let thirds = folds(&extent, Holdout::Kfold(3), 4.0).unwrap();
+        assert_eq!((halves.len(), thirds.len()), (2, 3));
+        for (r, t) in (0..100).map(|k| (k / 50, f64::from(k as u32 % 50))) {
+            let tested: usize = halves.iter().map(|f| usize::from(holds(&f.test, r, t))).sum();
+            assert_eq!(tested, usize::from((t - 24.5).abs() >= 2.0), "{r} {t}");
+            for f in halves.iter().chain(&thirds) {
+                let (train, test) = (holds(&f.train, r, t), holds(&f.test, r, t));
+                assert!(!(train && test));
+                // What is on neither side is within half a gap of a boundary.
+                let near = [24.5, 49.0 / 3.0, 98.0 / 3.0].iter().any(|b| (t - b).abs() <= 2.0);
+                assert!(train || test || near, "{r} {t}");
+            }
         }
-        let by_recording = folds(&rows, Holdout::Recordings, 2, 4.0).unwrap();
-        assert_eq!(by_recording[1].test.iter().filter(|t| **t).count(), 50);
-        assert!(folds(&rows, Holdout::Recordings, 1, 0.0).is_err());
+        let by_recording = folds(&extent, Holdout::Recordings, 4.0).unwrap();
+        assert_eq!(by_recording[1], Fold { train: vec![Span::whole(0)], test: vec![Span::whole(1)] });
+        assert!(folds(&extent[..1], Holdout::Recordings, 0.0).is_err());
     }
 }

@@ -2,20 +2,22 @@
 
 use crate::base::Structure;
 use crate::columns::Term;
-use crate::condition::{Conditioned, Plan};
+use crate::condition::{Plan, Prepared};
 use crate::delay::DelayEstimate;
 use crate::evaluate::Score;
 use crate::fit::{Solution, Why};
 use crate::outcome::Consistency;
-use crate::rows::Rows;
+use crate::sums::Survey;
 use lacuna_interfaces::RobotFile;
 
 /// Everything that warnings look at.
 pub(crate) struct Findings<'a> {
     pub(crate) robot: &'a RobotFile,
     pub(crate) structure: &'a Structure,
-    pub(crate) recordings: &'a [Conditioned],
-    pub(crate) rows: &'a Rows,
+    pub(crate) recordings: &'a [Prepared],
+    pub(crate) survey: &'a [Survey],
+    /// Time that the rows cover [s].
+    pub(crate) seconds: f64,
     pub(crate) solution: &'a Solution,
     pub(crate) plan: &'a Plan,
     pub(crate) held_out: &'a Score,
@@ -43,15 +45,15 @@ pub(crate) fn all(f: &Findings<'_>) -> Vec<String> {
 }
 
 fn amount(f: &Findings<'_>, out: &mut Vec<String>) {
-    let seconds = f.rows.len() as f64 * f.rows.period_s;
+    let seconds = f.seconds;
     if f.recordings.len() < 2 {
         out.push(format!(
             "too few recordings: found 1 ({seconds:.1} s); what differs from day to day is not in it, and the intervals do \
              not cover it"
         ));
     }
-    let moving = f.rows.joints.iter().map(|j| j.fitted.iter().filter(|m| **m).count()).min().unwrap_or(0);
-    let moving_s = moving as f64 * f.rows.period_s;
+    let share = |s: &Survey| s.fitted as f64 / s.rows.max(1) as f64;
+    let moving_s = f.seconds * f.survey.iter().map(share).fold(1.0, f64::min);
     if moving_s < SHORT_S {
         out.push(format!(
             "little data: the joint that moves least gives {moving_s:.1} s in motion; expected {SHORT_S} s or more"
@@ -81,10 +83,9 @@ fn amount(f: &Findings<'_>, out: &mut Vec<String>) {
 }
 
 fn excitation(f: &Findings<'_>, out: &mut Vec<String>) {
-    for (j, joint) in f.rows.joints.iter().enumerate() {
-        let moving = joint.counted.iter().filter(|m| **m).count();
-        let share = moving as f64 / f.rows.len().max(1) as f64;
-        let fastest = joint.qd.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+    for (j, joint) in f.survey.iter().enumerate() {
+        let (moving, fastest) = (joint.counted, joint.fastest);
+        let share = moving as f64 / joint.rows.max(1) as f64;
         if share < 0.05 {
             out.push(format!(
                 "joint {} ({}) is hardly excited: it moves faster than {} rad/s in {:.1} % of the time, {fastest:.3} rad/s at most",
@@ -95,8 +96,7 @@ fn excitation(f: &Findings<'_>, out: &mut Vec<String>) {
             ));
             continue;
         }
-        let forward = (0..f.rows.len()).filter(|&k| joint.counted[k] && joint.qd[k] > 0.0).count();
-        let one_way = forward.min(moving - forward) as f64 / moving.max(1) as f64;
+        let one_way = joint.forward.min(moving - joint.forward) as f64 / moving.max(1) as f64;
         if one_way < 0.02 && f.plan.moving_rad_s > 0.0 {
             out.push(format!(
                 "joint {} ({}) moves in one direction only ({:.1} % the other way): its Coulomb friction and its offset are one number",
@@ -188,8 +188,8 @@ fn units(f: &Findings<'_>, out: &mut Vec<String>) {
             "wrong unit? the rigid-body parameters are {factor:.3} times what the robot file says, all alike{hint}"
         ));
     }
-    for (j, joint) in f.rows.joints.iter().enumerate() {
-        let peak = joint.y.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+    for (j, joint) in f.survey.iter().enumerate() {
+        let peak = joint.peak;
         let rated = f.robot.drive.rated_torque_nm.as_ref().and_then(|r| r.get(j));
         if let Some(rated) = rated
             && (peak > 10.0 * rated || peak < 0.01 * rated)

@@ -29,6 +29,12 @@ impl Gram {
         Self { sum: DMatrix::zeros(m, m), lost: DMatrix::zeros(m, m), rows: 0 }
     }
 
+    pub(super) fn of(sum: DMatrix<f64>, rows: u64) -> Self {
+        // An empty matrix would have no place for y.
+        let sum = if sum.is_empty() { DMatrix::zeros(1, 1) } else { sum };
+        Self { lost: DMatrix::zeros(sum.nrows(), sum.ncols()), sum, rows }
+    }
+
     /// Number of parameters p.
     pub fn columns(&self) -> usize {
         self.sum.ncols() - 1

@@ -6,6 +6,7 @@
 //! |---|---|---|
 //! | [`Gram`] | XᵀX, Xᵀy, yᵀy | speed; refuses a regressor whose condition number it cannot afford |
 //! | [`Tsqr`] | R of X = QR | any condition number, about ten times slower |
+//! | [`Moments`] | cross products of all columns | regressions among columns that are chosen later |
 //! | [`BlockSums`] | one of them per block | cluster-robust covariance and block bootstrap without the data |
 //!
 //! [`accumulate`] fills blocks in parallel and sums them in block order, so the result does not depend on the
@@ -23,6 +24,7 @@ mod base;
 mod blocks;
 mod covariance;
 mod gram;
+mod moments;
 mod robust;
 mod solve;
 mod tsqr;
@@ -31,6 +33,7 @@ pub use base::{BaseParameters, Dependent, Pivoting, base_parameters};
 pub use blocks::{BlockSums, Bootstrap, Statistics, accumulate};
 pub use covariance::{bartlett_bandwidth, newey_west};
 pub use gram::Gram;
+pub use moments::{Mixture, Moments};
 pub use robust::{Loss, RobustFit, robust};
 pub use solve::{Fit, least_squares, weighted_least_squares};
 pub use tsqr::Tsqr;

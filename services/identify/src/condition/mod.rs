@@ -19,9 +19,11 @@
 
 mod mask;
 mod motion;
+mod prepared;
 mod signals;
 
 pub use mask::{Saturation, saturation};
+pub use prepared::{Prepared, Stretched, prepare};
 
 use lacuna_estimation::filter::ZeroPhase;
 use lacuna_interfaces::{BadInput, Recording, Repair, RobotFile};
@@ -270,48 +272,23 @@ impl Stretch {
     }
 }
 
-/// Conditions a recording of `robot` by `plan`.
+/// Conditions a whole recording of `robot` by `plan`, in memory.
 ///
 /// # Errors
 /// [`BadInput`] with the recording's name: other joints than the robot's, columns of unequal length, values that are
 /// not finite, or nothing long enough to filter.
 pub fn condition(recording: &Recording, robot: &RobotFile, plan: &Plan) -> Result<Conditioned, BadInput> {
-    run(recording, robot, plan).map_err(|e| e.in_file(&recording.name))
-}
-
-fn run(recording: &Recording, robot: &RobotFile, plan: &Plan) -> Result<Conditioned, BadInput> {
-    signals::check(recording, robot)?;
-    let mut repaired = signals::repair(recording, plan);
-    let saturation: Vec<Option<Saturation>> = repaired.tau.iter().map(|tau| mask::saturation(tau)).collect();
-    let grid = signals::Sampling::of(&recording.t_s, plan)?;
-    let cut_s = plan.cut_s.unwrap_or((2.0 / plan.band_hz).min(0.1 * recording.duration_s()));
-    let mut stretches = Vec::new();
-    let mut dropped_s = 0.0;
-    for range in &grid.ranges {
-        let part = signals::regular(recording, &repaired, range.clone(), &grid, plan.torque_delay_s)?;
-        match motion::stretch(part, robot, plan, &grid, &saturation, cut_s)? {
-            Some(stretch) => stretches.push(stretch),
-            None => dropped_s += recording.t_s[range.end - 1] - recording.t_s[range.start],
-        }
-    }
-    if stretches.is_empty() {
-        return Err(BadInput::new(format!(
-            "found no stretch without gaps longer than the filter's start (longest recording time {:.3} s); expected at \
-             least {:.3} s at a band of {} Hz",
-            recording.duration_s(),
-            motion::shortest_s(plan, &grid, cut_s),
-            plan.band_hz
-        )));
-    }
-    repaired.repairs.splice(0..0, recording.repairs.iter().cloned());
+    let mut own = recording.clone();
+    let prepared = prepare(&mut own, robot, plan)?;
+    let whole = |s: usize| prepared.part(&own, robot, plan, s, 0..prepared.stretches[s].working);
     Ok(Conditioned {
-        name: recording.name.clone(),
-        stretches,
-        repairs: repaired.repairs,
-        sample_rate_hz: grid.rate_hz,
-        resampled: grid.irregular,
-        dropped_s,
-        saturation,
+        stretches: (0..prepared.stretches.len()).map(whole).collect::<Result<_, _>>()?,
+        name: prepared.name,
+        repairs: prepared.repairs,
+        sample_rate_hz: prepared.sample_rate_hz,
+        resampled: prepared.resampled,
+        dropped_s: prepared.dropped_s,
+        saturation: prepared.saturation,
     })
 }
 

@@ -9,7 +9,7 @@ use lacuna_physics::effects::DirectionLaw;
 use rayon::prelude::*;
 
 /// Every how many recorded samples a working sample is taken.
-fn factor(plan: &Plan, sampling: &Sampling) -> usize {
+pub(super) fn factor(plan: &Plan, sampling: &Sampling) -> usize {
     ((sampling.rate_hz / (WORKING_RATE * plan.band_hz)) + 1e-9).floor().max(1.0) as usize
 }
 
@@ -20,20 +20,23 @@ pub(super) fn shortest_s(plan: &Plan, sampling: &Sampling, cut_s: f64) -> f64 {
     (2.0 * cut_s + 4.0 * working).max(20.0 * working)
 }
 
-/// The stretch's signals at the working rate; `None` if it is too short to leave rows.
+/// Every how many working samples a row is taken.
+pub(super) fn row_step(plan: &Plan, sampling: &Sampling) -> usize {
+    let period_s = factor(plan, sampling) as f64 / sampling.rate_hz;
+    (1.0 / (ROW_RATE * plan.band_hz * period_s) + 1e-9).floor().max(1.0) as usize
+}
+
+/// The part's signals at the working rate.
 pub(super) fn stretch(
     mut part: Regular,
     robot: &RobotFile,
     plan: &Plan,
     sampling: &Sampling,
     saturation: &[Option<Saturation>],
-    cut_s: f64,
-) -> Result<Option<Stretch>, BadInput> {
+    cut: usize,
+) -> Result<Stretch, BadInput> {
     let rate = sampling.rate_hz;
     let len = part.q.first().map_or(0, Vec::len);
-    if (len.max(1) - 1) as f64 / rate < shortest_s(plan, sampling, cut_s) {
-        return Ok(None);
-    }
     let k = factor(plan, sampling);
     let period_s = k as f64 / rate;
     let enabled = robot.columns.enabled.as_ref().and_then(|name| part.extra.get(name));
@@ -70,8 +73,8 @@ pub(super) fn stretch(
         usable: every(&usable, k),
         counted: Vec::new(),
         fitted: Vec::new(),
-        cut: (cut_s / period_s).ceil() as usize,
-        row_step: (1.0 / (ROW_RATE * plan.band_hz * period_s) + 1e-9).floor().max(1.0) as usize,
+        cut,
+        row_step: row_step(plan, sampling),
         filter: ZeroPhase::butterworth(ORDER, plan.band_hz, rate / k as f64)?,
     };
     for j in joints {
@@ -82,7 +85,7 @@ pub(super) fn stretch(
         out.counted.push(j.counted);
         out.fitted.push(j.fitted);
     }
-    Ok(Some(out))
+    Ok(out)
 }
 
 /// What follows from one joint's position.

@@ -2,7 +2,7 @@
 
 use super::Plan;
 use lacuna_estimation::filter::{
-    Interpolation, SpikeRule, median_step, regular_grid, remove_spikes, resample, segments, unwrap_angles,
+    Interpolation, SpikeRule, median_step, remove_spikes, resample, segments, unwrap_angles,
 };
 use lacuna_estimation::stats::quantile_in_place;
 use lacuna_interfaces::{BadInput, Recording, Repair, RepairKind, RobotFile};
@@ -15,13 +15,6 @@ use std::ops::Range;
 const GAP_FACTOR: f64 = 10.0;
 /// Share of the median step by which sampling may wander before it counts as irregular.
 const JITTER: f64 = 0.1;
-
-/// Signals after repair, `[joint][sample]`.
-pub(super) struct Repaired {
-    pub(super) q: Vec<Vec<f64>>,
-    pub(super) tau: Vec<Vec<f64>>,
-    pub(super) repairs: Vec<Repair>,
-}
 
 /// Refuses a recording that is not one of the robot's.
 pub(super) fn check(recording: &Recording, robot: &RobotFile) -> Result<(), BadInput> {
@@ -48,16 +41,16 @@ pub(super) fn check(recording: &Recording, robot: &RobotFile) -> Result<(), BadI
     Ok(())
 }
 
-/// Unwraps angles and removes single-sample spikes of position and torque, counting both.
-pub(super) fn repair(recording: &Recording, plan: &Plan) -> Repaired {
-    let mut q = recording.q_rad.clone();
+/// Unwraps angles and removes single-sample spikes of position and torque in place; returns what was done.
+pub(super) fn repair(recording: &mut Recording, plan: &Plan) -> Vec<Repair> {
     // The reader undoes wraps near ±π; between two samples no joint turns half a turn, so the rest is wraps too.
-    let found_q: Vec<(usize, usize)> = q
+    let found_q: Vec<(usize, usize)> = recording
+        .q_rad
         .par_iter_mut()
         .map(|column| (unwrap_angles(column, TAU), despike(column, 1e-4, plan.spike_threshold)))
         .collect();
-    let mut tau = recording.tau_nm.clone();
-    let found_tau: Vec<usize> = tau.par_iter_mut().map(|column| despike(column, 1e-2, plan.spike_threshold)).collect();
+    let found_tau: Vec<usize> =
+        recording.tau_nm.par_iter_mut().map(|column| despike(column, 1e-2, plan.spike_threshold)).collect();
     let mut repairs = Vec::new();
     let mut note = |kind, signal: String, count: usize| {
         if count > 0 {
@@ -71,7 +64,7 @@ pub(super) fn repair(recording: &Recording, plan: &Plan) -> Repaired {
     for (j, spikes) in found_tau.into_iter().enumerate() {
         note(RepairKind::Spike, format!("tau{}", j + 1), spikes);
     }
-    Repaired { q, tau, repairs }
+    repairs
 }
 
 /// Removes spikes larger than `share` of the signal's range (smaller ones are noise, or the corner of a trajectory)
@@ -95,6 +88,7 @@ fn resolution(x: &[f64]) -> f64 {
 }
 
 /// How a recording is sampled.
+#[derive(Debug, Clone)]
 pub(super) struct Sampling {
     pub(super) rate_hz: f64,
     pub(super) irregular: bool,
@@ -125,7 +119,7 @@ impl Sampling {
     }
 }
 
-/// One gap-free part of a recording at regular times.
+/// A part of a gap-free stretch at regular times.
 pub(super) struct Regular {
     pub(super) start_s: f64,
     pub(super) q: Vec<Vec<f64>>,
@@ -133,35 +127,63 @@ pub(super) struct Regular {
     pub(super) extra: BTreeMap<String, Vec<f64>>,
 }
 
-/// Brings `range` to regular sampling and undoes the torque's delay.
+/// Recorded samples on either side of a part that its interpolation looks at: a natural spline forgets 0.27-fold from
+/// sample to sample.
+const SPLINE_REACH: usize = 24;
+
+impl Sampling {
+    /// Number of regular samples of a gap-free range of recorded ones.
+    pub(super) fn regular_len(&self, t_s: &[f64], range: &Range<usize>) -> usize {
+        if !self.irregular {
+            return range.len();
+        }
+        let duration = t_s[range.end - 1] - t_s[range.start];
+        (duration * self.rate_hz + 1e-9).floor() as usize + 1
+    }
+
+    /// Time of regular sample `k` of a range [s].
+    pub(super) fn time_s(&self, t_s: &[f64], range: &Range<usize>, k: usize) -> f64 {
+        if self.irregular { t_s[range.start] + k as f64 / self.rate_hz } else { t_s[range.start + k] }
+    }
+}
+
+/// Brings the regular samples `part` of the gap-free `range` about, and undoes the torque's delay.
 pub(super) fn regular(
     recording: &Recording,
-    repaired: &Repaired,
-    range: Range<usize>,
+    range: &Range<usize>,
+    part: Range<usize>,
     sampling: &Sampling,
     delay_s: f64,
 ) -> Result<Regular, BadInput> {
-    let t = &recording.t_s[range.clone()];
-    let (first, last) = (t[0], t[t.len() - 1]);
-    let cut = |columns: &[Vec<f64>]| -> Vec<Vec<f64>> { columns.iter().map(|c| c[range.clone()].to_vec()).collect() };
+    let grid: Vec<f64> = part.clone().map(|k| sampling.time_s(&recording.t_s, range, k)).collect();
+    let (first, last) = (grid.first().copied().unwrap_or(0.0), grid.last().copied().unwrap_or(0.0));
+    // Recorded samples behind these: all for a straight copy, else with what the interpolation looks at.
+    let all = &recording.t_s[range.clone()];
+    let low = all.partition_point(|t| *t < first.min(first + delay_s)).saturating_sub(SPLINE_REACH);
+    let high = (all.partition_point(|t| *t <= last.max(last + delay_s)) + SPLINE_REACH).min(all.len());
+    let near = range.start + low..range.start + high;
+    let own = range.start + part.start..range.start + part.end;
+    let t = &recording.t_s[near.clone()];
+    let cut = |columns: &[Vec<f64>]| -> Vec<Vec<f64>> { columns.iter().map(|c| c[own.clone()].to_vec()).collect() };
     let on = |columns: &[Vec<f64>], grid: &[f64]| -> Result<Vec<Vec<f64>>, BadInput> {
-        columns.iter().map(|c| Ok(resample(t, &c[range.clone()], grid, Interpolation::Cubic)?)).collect()
+        columns.iter().map(|c| Ok(resample(t, &c[near.clone()], grid, Interpolation::Cubic)?)).collect()
     };
-    let grid = if sampling.irregular { regular_grid(first, last, 1.0 / sampling.rate_hz) } else { t.to_vec() };
-    let q = if sampling.irregular { on(&repaired.q, &grid)? } else { cut(&repaired.q) };
+    let q = if sampling.irregular { on(&recording.q_rad, &grid)? } else { cut(&recording.q_rad) };
     let tau = if sampling.irregular || delay_s != 0.0 {
         let late: Vec<f64> = grid.iter().map(|t| t + delay_s).collect();
-        on(&repaired.tau, &late)?
+        on(&recording.tau_nm, &late)?
     } else {
-        cut(&repaired.tau)
+        cut(&recording.tau_nm)
     };
     let mut extra = BTreeMap::new();
     for (name, column) in recording.extra.iter().filter(|(_, c)| c.len() == recording.len()) {
-        let part = &column[range.clone()];
         // A further column with a value missing is of no use, but no reason to refuse the recording.
-        if part.iter().all(|v| v.is_finite()) {
-            let values =
-                if sampling.irregular { resample(t, part, &grid, Interpolation::Linear)? } else { part.to_vec() };
+        if column[near.clone()].iter().all(|v| v.is_finite()) {
+            let values = if sampling.irregular {
+                resample(t, &column[near.clone()], &grid, Interpolation::Linear)?
+            } else {
+                column[own.clone()].to_vec()
+            };
             extra.insert(name.clone(), values);
         }
     }

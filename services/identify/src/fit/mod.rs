@@ -1,6 +1,9 @@
 //! Pooled fit of all base parameters and friction: weighted by each joint's noise, robust against outliers, with a
 //! covariance that holds for residuals correlated in time.
 //!
+//! Everything is a matter of the sums of [`crate::sums`]: the rows themselves are looked at again only to bound the
+//! influence of large residuals.
+//!
 //! ```text
 //! β = argmin Σ_j Σ_k h_jk (τ_jk − X_jk β)² / σ_j²          σ_j and Huber's h from the residuals, in turn
 //! V = (B − 1)/B Σ_b (β₍₋b₎ − β̄)(β₍₋b₎ − β̄)ᵀ                 β₍₋b₎: the fit without block b of time
@@ -10,27 +13,21 @@
 //! regression) needs no model of the residual's spectrum, holds across joints, and does not shrink with the number
 //! of parameters as plain cluster sums do.
 
-mod problem;
+pub(crate) mod draft;
+pub(crate) mod normal;
+pub(crate) mod robust;
 mod support;
 
-pub(crate) use problem::block_spans;
-
 use crate::base::Structure;
+use crate::delay::Delay;
 use crate::rows::Rows;
+use crate::split::Span;
+use draft::{Data, Draft};
 use lacuna_estimation::least_squares::Gram;
 use lacuna_estimation::stats::normal_quantile;
 use lacuna_interfaces::BadInput;
 use nalgebra::{DMatrix, DVector};
-use problem::{Problem, Spread};
-
-/// How to fit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct FitSettings {
-    /// Bound the influence of large residuals.
-    pub robust: bool,
-    /// Fit standing joints too (every usable row), instead of `fitted` rows.
-    pub standstill: bool,
-}
+use robust::Store;
 
 /// A base column that the data do not support; it keeps the robot file's value (friction: 0).
 #[derive(Debug, Clone, PartialEq)]
@@ -120,59 +117,40 @@ pub fn predict(structure: &Structure, rows: &Rows, beta: &DVector<f64>, joint: u
     x.chunks_exact(active.len()).map(|row| row.iter().zip(&part).map(|(a, b)| a * b).sum()).collect()
 }
 
-/// Fits the rows for which `train` is true.
+/// Memory for what bounded influence takes off, over the drafts that are worked on together [bytes].
+const LOSS_MEMORY: usize = 64 << 20;
+
+/// Fits every set of training spans, each with nuisances chosen by itself alone; `finish` makes the result of a draft
+/// that is done.
 ///
 /// # Errors
 /// [`BadInput`] if no row is left, or fewer than parameters.
-pub fn fit(structure: &Structure, rows: &Rows, train: &[bool], settings: FitSettings) -> Result<Solution, BadInput> {
-    let used: Vec<Vec<bool>> = rows
-        .joints
-        .iter()
-        .map(|j| {
-            let mask = if settings.standstill { &j.usable } else { &j.fitted };
-            mask.iter().zip(train).map(|(m, t)| *m && *t).collect()
-        })
-        .collect();
-    let count: Vec<usize> = used.iter().map(|u| u.iter().filter(|b| **b).count()).collect();
-    if count.iter().sum::<usize>() <= structure.base.len() {
-        return Err(BadInput::new(format!(
-            "found {} rows of moving joints in the training recordings; expected more than {}, one per parameter (lower \
-             the moving speed, or record motion)",
-            count.iter().sum::<usize>(),
-            structure.base.len()
-        )));
-    }
-    let problem = Problem { structure, rows, used, spans: block_spans(rows) };
-    let mut sigma: Vec<f64> = (0..count.len()).map(|j| problem.spread_of_torque(j)).collect();
-    let mut huber: Option<Vec<Vec<f64>>> = None;
-    let mut outliers = vec![0.0; count.len()];
-    // First with weights of the torque's size, then of the noise's, then with bounded influence.
-    let (rms, size) = problem.column_sizes();
-    let mut sums = problem.sums(&sigma, None)?;
-    let (mut choice, mut condition_all) = problem.excited(&sums, &rms)?;
-    for pass in 0..1 + usize::from(settings.robust) {
-        let beta = problem.solve(&sums, &choice)?;
-        let weights = problem.reweigh(&beta, &mut sigma, &mut outliers, huber.is_some());
-        huber = settings.robust.then_some(weights);
-        sums = problem.sums(&sigma, huber.as_deref())?;
-        if pass == 0 {
-            (choice, condition_all) = problem.excited(&sums, &rms)?;
+pub(crate) fn fit_all<T>(
+    data: Data<'_>,
+    store: &Store,
+    trains: &[&[Span]],
+    delay: Delay,
+    robust: bool,
+    mut finish: impl FnMut(&Draft, Solution) -> Result<T, BadInput>,
+) -> Result<Vec<T>, BadInput> {
+    let per_cell: usize = data.stream.layout.iter().map(|l| 8 * (l.width() + 1).pow(2)).sum();
+    let together = (LOSS_MEMORY / (per_cell * data.sums.cells.list.len()).max(1)).max(1);
+    let mut out = Vec::with_capacity(trains.len());
+    for group in trains.chunks(together) {
+        let mut drafts: Vec<Draft> =
+            group.iter().map(|train| Draft::new(data, train, delay)).collect::<Result<_, _>>()?;
+        for round in 0..2 * usize::from(robust) {
+            robust::reweigh(data, store, &mut drafts)?;
+            drafts.iter_mut().try_for_each(|d| d.refit(data, round == 0))?;
+        }
+        for draft in &mut drafts {
+            let solution = support::settle(data, draft, &draft.normal(data))?;
+            draft.beta = solution.beta.clone();
+            draft.rescale(data);
+            out.push(finish(draft, Solution { sigma: draft.sigma.clone(), ..solution })?);
         }
     }
-    loop {
-        let beta = problem.solve(&sums, &choice)?;
-        let (covariance, blocks) = problem.jackknife(&sums, &choice)?;
-        let spread = Spread { sigma: sigma.clone(), outliers: outliers.clone(), count: count.clone(), condition_all };
-        let solution = problem.finish(&sums, &choice, (beta, covariance, blocks), spread)?;
-        // Every turn drops a column, so this ends.
-        match problem.unsupported(&solution, &size) {
-            Some((base, why)) => problem.drop_column(&sums, &mut choice, base, why)?,
-            None => {
-                problem.reweigh(&solution.beta, &mut sigma, &mut outliers, huber.is_some());
-                return Ok(Solution { sigma, outliers, ..solution });
-            }
-        }
-    }
+    Ok(out)
 }
 
 #[cfg(test)]

@@ -84,7 +84,6 @@ impl<'a> Stream<'a> {
     }
 
     /// The same in parts of `part_rows` rows.
-    #[expect(clippy::too_many_arguments, reason = "what every stream needs, and the size")]
     pub(crate) fn in_parts(
         body: &'a dyn RigidBody,
         robot: &'a RobotFile,
@@ -139,29 +138,38 @@ impl<'a> Stream<'a> {
         Ok(())
     }
 
-    /// The rows of a part. With `instruments`, ζ comes from the motion that passed a low-pass of that many hertz.
+    /// Conditioned signals around the rows of a part, as far as filters of `band_hz` look, by `plan`; and the sample of every
+    /// row.
     ///
     /// # Errors
-    /// [`BadInput`] naming the recording and the time of a pose that the robot cannot take.
-    pub(crate) fn rows_of(&self, part: &Part, instruments: Option<f64>) -> Result<PartRows, BadInput> {
+    /// [`BadInput`] naming the recording, for a value that is not finite.
+    pub(crate) fn around(&self, part: &Part, plan: &Plan, band_hz: f64) -> Result<(Stretch, Vec<usize>), BadInput> {
         let own = &self.prepared[part.recording];
         let of = &own.stretches[part.stretch];
-        let band = instruments.map_or(self.plan.band_hz, |i| i.min(self.plan.band_hz));
-        let seconds = (OVERLAP / band).max(self.plan.reversal_s);
+        let seconds = (OVERLAP / band_hz).max(plan.reversal_s);
         let overlap = (seconds / own.working_period_s()).ceil() as usize;
         let first = own.working_of(of, part.rows.start);
         let last = own.working_of(of, part.rows.end.saturating_sub(1));
         let from = first.saturating_sub(overlap);
         // The very end is not cut: there the filter's padding is what the whole stretch would have.
         let to = if last + overlap + of.cut >= of.working { of.working } else { last + overlap + 1 };
-        let condition =
-            |plan: &Plan| own.part(&self.recordings[part.recording], self.robot, plan, part.stretch, from..to);
-        let stretch = condition(self.plan)?;
-        let at: Vec<usize> = part.rows.clone().map(|r| own.working_of(of, r) - from).collect();
+        let stretch = own.part(&self.recordings[part.recording], self.robot, plan, part.stretch, from..to)?;
+        Ok((stretch, part.rows.clone().map(|r| own.working_of(of, r) - from).collect()))
+    }
+
+    /// The rows of a part. With `instruments`, ζ comes from the motion that passed a low-pass of that many hertz.
+    ///
+    /// # Errors
+    /// [`BadInput`] naming the recording and the time of a pose that the robot cannot take.
+    pub(crate) fn rows_of(&self, part: &Part, instruments: Option<f64>) -> Result<PartRows, BadInput> {
+        let own = &self.prepared[part.recording];
+        let band = instruments.map_or(self.plan.band_hz, |i| i.min(self.plan.band_hz));
+        let (stretch, at) = self.around(part, self.plan, band)?;
         let columns = self.columns(&stretch, &own.name)?;
         let shadow = match instruments {
             Some(position_band_hz) => {
-                let mut narrow = condition(&Plan { position_band_hz, bristle: false, ..self.plan.clone() })?;
+                let mut narrow =
+                    self.around(part, &Plan { position_band_hz, bristle: false, ..self.plan.clone() }, band)?.0;
                 // Where the friction changes sign is no matter of acceleration noise.
                 narrow.sign.clone_from(&stretch.sign);
                 Some(self.columns(&narrow, &own.name)?)

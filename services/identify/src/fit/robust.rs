@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 /// errors.
 const HUBER: f64 = 2.5;
 /// Memory for rows that need not be computed again for the next pass [bytes].
-const ROW_MEMORY: usize = 96 << 20;
+const ROW_MEMORY: usize = 64 << 20;
 
 /// Fitted rows of a part, in single precision: they only decide weights, and make up what the weights take off.
 pub(crate) struct Kept {

@@ -1,12 +1,8 @@
 //! What is in every model: mechanics, viscous and Coulomb friction, and what the robot file leaves open.
 
-use crate::model::{BaseColumn, BaseRole};
+use crate::model::{BaseColumn, BaseRole, Model};
 use crate::scene::{Column, Raw, Scene};
-use lacuna_estimation::filter::{Stencil, differentiate};
-use lacuna_interfaces::RobotFile;
-use lacuna_interfaces::robot::{Kind, Mass};
-use lacuna_physics::RigidBody;
-use lacuna_physics::delta::parameters::{GC, INERTIA, M_GR, M_IN};
+use crate::tolerance::{self, Tolerance};
 
 /// Torque to be explained and the base columns.
 pub struct Base {
@@ -22,6 +18,8 @@ pub struct Base {
     pub width: Vec<f64>,
     /// Columns.
     pub columns: Vec<BaseColumn>,
+    /// What the robot file leaves open, as far as it has a column.
+    pub tolerances: Vec<Tolerance>,
     /// Whether the robot file's masses are used.
     pub nominal_base: bool,
 }
@@ -77,6 +75,7 @@ impl Base {
             stick: Raw::new(),
             width: vec![1e-4; scene.joints],
             columns: Vec::new(),
+            tolerances: Vec::new(),
             nominal_base: true,
         };
         base.add_friction(scene);
@@ -109,6 +108,7 @@ impl Base {
             stick: Raw::new(),
             width: vec![1e-4; scene.joints],
             columns: Vec::new(),
+            tolerances: Vec::new(),
             nominal_base: false,
         };
         base.add_friction(scene);
@@ -140,34 +140,25 @@ impl Base {
     }
 
     fn add_tolerances(&mut self, scene: &Scene) {
-        for (name, robot, pi) in variants(scene) {
-            let raw = match &robot {
-                Some(file) => match lacuna_physics::build(file, scene.urdf.as_deref()) {
-                    Ok(body) => {
-                        let pi = body.nominal();
-                        difference(&scene.rigid_raw(body.as_ref() as &dyn RigidBody, &pi), &self.nominal)
-                    }
-                    Err(_) => continue,
-                },
-                None => difference(&scene.rigid_raw(scene.body.as_ref(), &pi), &self.nominal),
-            };
-            push(scene, &mut self.columns, BaseRole::Tolerance(name), raw);
+        for tolerance in tolerance::all(scene) {
+            if let Some(raw) = tolerance.raw(scene, &self.nominal) {
+                push(scene, &mut self.columns, BaseRole::Tolerance(tolerance.name.clone()), raw);
+                self.tolerances.push(tolerance);
+            }
         }
-        // A drive that stamps its torque half a sample early or late.
-        let dt = 1.0 / scene.rate_hz;
-        let late: Raw = self
-            .nominal
-            .iter()
-            .map(|p| {
-                p.iter()
-                    .map(|s| match differentiate(s, dt, Stencil::Seven, 1) {
-                        Ok(d) => d.iter().map(|v| -v * 0.5 * dt).collect(),
-                        Err(_) => vec![0.0; s.len()],
-                    })
-                    .collect()
-            })
-            .collect();
-        push(scene, &mut self.columns, BaseRole::Tolerance(crate::search::DELAY.into()), late);
+    }
+
+    /// What a model's base adds to the robot file: parameters, lengths and delay of all its tolerances.
+    pub fn departure(&self, scene: &Scene, model: &Model, beta: &[f64]) -> Tolerance {
+        let mut out = Tolerance::none(scene);
+        for (i, value) in model.base_values(beta) {
+            if let BaseRole::Tolerance(name) = &model.base[i].role
+                && let Some(t) = self.tolerances.iter().find(|t| &t.name == name)
+            {
+                out.add(t, value);
+            }
+        }
+        out
     }
 }
 
@@ -236,97 +227,6 @@ fn independent(fixed: &[&Column], columns: &[Column]) -> Vec<usize> {
         }
     }
     keep.iter().map(|i| i - fixed.len()).collect()
-}
-
-fn difference(a: &Raw, b: &Raw) -> Raw {
-    a.iter()
-        .zip(b)
-        .map(|(a, b)| a.iter().zip(b).map(|(x, y)| x.iter().zip(y).map(|(x, y)| x - y).collect()).collect())
-        .collect()
-}
-
-/// Robots at the upper end of each tolerance: another file, or other parameters.
-fn variants(scene: &Scene) -> Vec<(String, Option<RobotFile>, Vec<f64>)> {
-    let tol = &scene.robot.tolerance;
-    let mut out = Vec::new();
-    if scene.robot.kind == Kind::Delta {
-        if let Some(mass) = &scene.robot.mass {
-            out.extend(delta_masses(scene, mass).into_iter().map(|(name, pi)| (name, None, pi)));
-        }
-        type Change = fn(&mut RobotFile, f64);
-        let lengths: [(&str, Change); 3] = [
-            ("upper arm length", |r, f| {
-                if let Some(g) = &mut r.geometry {
-                    g.l1 *= f
-                }
-            }),
-            ("forearm length", |r, f| {
-                if let Some(g) = &mut r.geometry {
-                    g.l2 *= f
-                }
-            }),
-            ("radius difference", |r, f| {
-                if let Some(g) = &mut r.geometry {
-                    g.ra = g.rb + (g.ra - g.rb) * f
-                }
-            }),
-        ];
-        for (name, change) in lengths {
-            let mut file = scene.robot.clone();
-            change(&mut file, 1.0 + tol.length);
-            out.push((name.to_owned(), Some(file), Vec::new()));
-        }
-        return out;
-    }
-    let parameters = scene.body.parameters();
-    for j in 0..scene.joints {
-        // Mass with all that follows from it; where its centre is; the rotor.
-        for (name, symbols) in [
-            ("mass", &["m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz"][..]),
-            ("centre", &["mx", "my", "mz"][..]),
-            ("rotor", &["Ia"][..]),
-        ] {
-            let mut pi = scene.pi.clone();
-            for (v, p) in pi.iter_mut().zip(parameters) {
-                if symbols.iter().any(|s| p.symbol == format!("{s}{}", j + 1)) {
-                    *v *= 1.0 + tol.mass;
-                }
-            }
-            if pi != scene.pi {
-                out.push((format!("link {} {name}", j + 1), None, pi));
-            }
-        }
-    }
-    out
-}
-
-/// Parameters of a Delta with each mass of each leg at the upper end of its tolerance.
-fn delta_masses(scene: &Scene, mass: &Mass) -> Vec<(String, Vec<f64>)> {
-    let tol = scene.robot.tolerance.mass;
-    let l1 = scene.body.as_delta().map_or(0.0, lacuna_physics::Delta::l1_m);
-    let mut out = Vec::new();
-    let mut push = |name: String, changes: &[(usize, f64)]| {
-        let mut pi = scene.pi.clone();
-        for (slot, by) in changes {
-            if let Some(v) = pi.get_mut(*slot) {
-                *v += tol * by;
-            }
-        }
-        if pi != scene.pi {
-            out.push((name, pi));
-        }
-    };
-    push("platform mass".into(), &[(M_IN, mass.platform), (M_GR, mass.platform)]);
-    for i in 0..3 {
-        let (arm, fore) = (mass.upper_arm, mass.forearm_point);
-        push(format!("upper arm {} mass", i + 1), &[(INERTIA + i, arm / 3.0 * l1 * l1), (GC + i, arm / 2.0 * l1)]);
-        push(
-            format!("forearm {} mass", i + 1),
-            &[(INERTIA + i, fore * l1 * l1), (GC + i, fore * l1), (M_IN, fore), (M_GR, fore)],
-        );
-        push(format!("rotor {} inertia", i + 1), &[(INERTIA + i, mass.rotor_inertia)]);
-    }
-    out
 }
 
 /// Travel of the bristle that fits best with viscous friction beside it.

@@ -24,7 +24,7 @@ pub fn context<'a>(
             let column = &model.base[*i];
             let beta = state.fit.beta[slot];
             add(&mut predicted, &column.raw, beta);
-            if matches!(column.role, BaseRole::Parameter(_) | BaseRole::Tolerance(_)) {
+            if column.role.on_link() {
                 add(&mut link, &column.raw, beta);
             }
         }
@@ -35,7 +35,9 @@ pub fn context<'a>(
         }
         for (i, value) in &model.clamped {
             add(&mut predicted, &model.base[*i].raw, *value);
-            add(&mut link, &model.base[*i].raw, *value);
+            if model.base[*i].role.on_link() {
+                add(&mut link, &model.base[*i].raw, *value);
+            }
         }
         for (a, atom) in model.atoms.iter().enumerate() {
             let family = &search.families[atom.family];
@@ -49,6 +51,15 @@ pub fn context<'a>(
                     add(&mut link, raw, factor);
                 }
             }
+        }
+    }
+    let mut pi = scene.pi.clone();
+    if let Some(state) = state {
+        if base.nominal_base {
+            let departure = base.departure(scene, model, &state.fit.beta);
+            pi.iter_mut().zip(&departure.pi).for_each(|(p, d)| *p += d);
+        } else {
+            pi = free_parameters(scene, model, state);
         }
     }
     let rotor = rotor_inertia(scene);
@@ -71,6 +82,7 @@ pub fn context<'a>(
     Context {
         scene,
         stick: base.stick.clone(),
+        pi,
         predicted,
         link,
         nominal_base: base.nominal_base,

@@ -19,6 +19,9 @@ const SWITCH_NATS: f64 = 8.0;
 const CONTACT_S: [f64; 5] = [0.015, 0.025, 0.04, 0.065, 0.1];
 /// Price of a contact: three force components, time, duration, and the many places tried [nats].
 const CONTACT_NATS: f64 = 30.0;
+/// How much more a contact must explain than a window of its length does at the better places elsewhere: what a
+/// misfit leaves comes again and again.
+const CONTACT_OVER: f64 = 4.0;
 /// Share of the local residual power that a contact must explain.
 const CONTACT_SHARE: f64 = 0.8;
 /// Gain that a contact must have at a second joint: a force on the tip is felt at all of them, the rest of a
@@ -206,7 +209,9 @@ impl Search<'_> {
             .filter_map(|(p, duration)| self.best_window(p, duration, &residual, &jacobians, &state.weights))
             .reduce_with(|a, b| if b.0 > a.0 || (b.0 == a.0 && b.1 < a.1) { b } else { a })?;
         let (gain, t_0, duration) = best;
-        if gain < CONTACT_NATS {
+        if gain < CONTACT_NATS
+            || gain < CONTACT_OVER * self.usual_window(duration, &residual, &jacobians, &state.weights)
+        {
             return None;
         }
         let atom = self.atom(ctx, family, 0, &[t_0, duration]);
@@ -237,8 +242,7 @@ impl Search<'_> {
             }
         }
         out.fixed = true;
-        out.shape.truncate(2);
-        out.shape.extend(amplitude);
+        out.amplitude = amplitude;
         Some(out)
     }
 
@@ -277,7 +281,7 @@ impl Search<'_> {
     }
 
     /// Transposed Jacobian at every row: `[row][joint]` is the torque per unit force.
-    fn jacobian_rows(&self) -> Vec<Vec<Vector3<f64>>> {
+    pub(crate) fn jacobian_rows(&self) -> Vec<Vec<Vector3<f64>>> {
         let n = self.scene.joints;
         let mut out = vec![vec![Vector3::zeros(); n]; self.scene.rows];
         for piece in &self.scene.pieces {
@@ -304,14 +308,53 @@ impl Search<'_> {
         jacobians: &[Vec<Vector3<f64>>],
         weights: &[f64],
     ) -> Option<(f64, f64, f64)> {
+        let piece = &self.scene.pieces[p];
+        let mut best = (0.0, 0.0, duration);
+        for (centre, gain) in self.windows(p, duration, 1, (residual, jacobians, weights)) {
+            if gain > best.0 {
+                let middle = piece.global_s + (centre - piece.rows.start) as f64 / self.scene.row_rate_hz();
+                best = (gain, middle - 0.5 * duration, duration);
+            }
+        }
+        (best.0 > 0.0).then_some(best)
+    }
+
+    /// Gain that a window of this duration has at the better places of recordings without contacts: the best of
+    /// each quarter second, of which one in five is better.
+    fn usual_window(&self, duration: f64, residual: &Column, jacobians: &[Vec<Vector3<f64>>], weights: &[f64]) -> f64 {
+        let bin = (0.25 * self.scene.row_rate_hz()).round().max(1.0) as usize;
+        let mut best: Vec<f64> = (0..self.scene.pieces.len())
+            .into_par_iter()
+            .flat_map_iter(|p| {
+                let start = self.scene.pieces[p].rows.start;
+                let mut own = vec![0.0f64; self.scene.pieces[p].rows.len().div_ceil(bin)];
+                for (centre, gain) in self.windows(p, duration, 2, (residual, jacobians, weights)) {
+                    if let Some(v) = own.get_mut((centre - start) / bin) {
+                        *v = v.max(gain);
+                    }
+                }
+                own
+            })
+            .collect();
+        stats::quantile_in_place(&mut best, 0.8)
+    }
+
+    /// Gain of a half-sine force of this duration about every `step`-th row of piece `p`.
+    fn windows(
+        &self,
+        p: usize,
+        duration: f64,
+        step: usize,
+        (residual, jacobians, weights): (&Column, &[Vec<Vector3<f64>>], &[f64]),
+    ) -> Vec<(usize, f64)> {
         let scene = self.scene;
         let piece = &scene.pieces[p];
         let rate = scene.row_rate_hz();
         // The pulse as the filter leaves it: about the half sine, widened by the band.
         let width = duration.hypot(0.35 / scene.band_hz);
         let half = (0.5 * width * rate).ceil() as usize + 1;
-        let mut best = (0.0, 0.0, duration);
-        for centre in piece.rows.start + half..piece.rows.end.saturating_sub(half) {
+        let mut out = Vec::new();
+        for centre in (piece.rows.start + half..piece.rows.end.saturating_sub(half)).step_by(step) {
             if !scene.quiet[centre] {
                 continue;
             }
@@ -332,14 +375,10 @@ impl Search<'_> {
             }
             let ridge = 1e-6 * a.trace() + 1e-30;
             if let Some(inverse) = (a + Matrix3::identity() * ridge).try_inverse() {
-                let gain = 0.5 * b.dot(&(inverse * b));
-                if gain > best.0 {
-                    let middle = piece.global_s + (centre - piece.rows.start) as f64 / rate;
-                    best = (gain, middle - 0.5 * duration, duration);
-                }
+                out.push((centre, 0.5 * b.dot(&(inverse * b))));
             }
         }
-        (best.0 > 0.0).then_some(best)
+        out
     }
 
     /// Rows in which a frozen event acts with at least a tenth of its largest torque.

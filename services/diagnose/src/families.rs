@@ -14,6 +14,8 @@ pub struct Context<'a> {
     pub scene: &'a Scene,
     /// Direction of sliding of each joint, −1 to 1, full rate.
     pub stick: Raw,
+    /// Dynamic parameters of the model so far.
+    pub pi: Vec<f64>,
     /// Torque of the whole model, full rate.
     pub predicted: Raw,
     /// Torque past the rotor: rigid body and what is carried, without friction, full rate.
@@ -67,7 +69,7 @@ type Line = (&'static str, &'static [&'static str], &'static str, Shapes);
 
 /// Effects that the search takes as columns; payload in carries and collisions are found by their events.
 pub fn all() -> Vec<Family> {
-    let list: [Line; 31] = [
+    let list: [Line; 32] = [
         ("coulomb_asym", &["a_c"], "masses whole", none),
         ("stribeck", &["f_sc"], "whole", stribeck),
         ("viscous_power", &["a"], "whole", power),
@@ -94,10 +96,11 @@ pub fn all() -> Vec<Family> {
         ("gravity_spring", &["a_s", "a_c"], "masses whole", none),
         ("cable_spring", &["k_1", "k_3"], "masses whole", cable),
         ("air_drag", &["c"], "", none),
-        ("ball_friction", &["mu"], "", none),
+        ("ball_friction", &["mu", "b"], "", turning),
         ("ball_friction", &["b"], "", none),
         ("arm_inertia", &["I", "m_1", "m_2"], "masses whole", none),
         ("payload", &["m"], "masses event", none),
+        ("payload_ecc", &["m_x", "m_y"], "masses event", swung),
         ("collision", &["F_x", "F_y", "F_z"], "masses event", contact),
     ];
     list.into_iter()
@@ -121,6 +124,11 @@ impl Family {
     /// Catalogue id.
     pub fn id(&self) -> &'static str {
         self.effect.id
+    }
+
+    /// Name in calibration files: id and amplitudes.
+    pub fn key(&self) -> String {
+        if self.event { format!("{}:event", self.id()) } else { format!("{}:{}", self.id(), self.keep.join("+")) }
     }
 
     /// Whether it acts on one joint (otherwise on a pair or the structure).
@@ -196,12 +204,8 @@ impl Family {
     /// Columns at a shape, full rate.
     pub fn raws(&self, ctx: &Context<'_>, joint: usize, shape: &[f64]) -> Vec<Raw> {
         let scene = ctx.scene;
-        let robot = EffectContext {
-            robot: &scene.robot,
-            urdf: scene.urdf.as_deref(),
-            body: scene.body.as_ref(),
-            pi: &scene.pi,
-        };
+        let robot =
+            EffectContext { robot: &scene.robot, urdf: scene.urdf.as_deref(), body: scene.body.as_ref(), pi: &ctx.pi };
         let parameters = self.parameters(ctx, joint, shape, &[]);
         let joints = self.joints(joint);
         let count = self.keep.len().max(1);
@@ -410,6 +414,14 @@ fn cable(ctx: &Context<'_>, j: usize) -> Vec<ShapeRange> {
     let (low, high) = ctx.range[j];
     let at = |t: f64| low + t * (high - low);
     one("q_0", vec![at(0.0), at(0.25), at(0.5), at(0.75), at(1.0)], (at(-0.5), at(1.5)))
+}
+
+fn turning(_: &Context<'_>, _: usize) -> Vec<ShapeRange> {
+    one("omega_0", vec![0.05], (0.002, 0.5))
+}
+
+fn swung(_: &Context<'_>, _: usize) -> Vec<ShapeRange> {
+    vec![ShapeRange { symbol: "omega", grid: vec![12.0], bounds: None }]
 }
 
 fn contact(_: &Context<'_>, _: usize) -> Vec<ShapeRange> {

@@ -131,21 +131,26 @@ impl Gram {
         Self { size: index.len(), blocks }
     }
 
-    /// With column `slot` (from 0, target not counted) taken off the target at a factor of one.
+    /// With columns (from 0, target not counted) taken off the target at these factors.
     #[must_use]
-    pub fn absorbed(&self, slot: usize) -> Self {
+    pub fn held(&self, slots: &[(usize, f64)]) -> Self {
+        if slots.is_empty() {
+            return self.clone();
+        }
         let mut blocks = self.blocks.clone();
         for m in &mut blocks {
-            for k in 0..self.size {
-                let v = m[(slot + 1, k)];
-                m[(0, k)] -= v;
-            }
-            for k in 0..self.size {
-                let v = m[(k, slot + 1)];
-                m[(k, 0)] -= v;
+            for (slot, factor) in slots {
+                for k in 0..self.size {
+                    let v = m[(slot + 1, k)];
+                    m[(0, k)] -= factor * v;
+                }
+                for k in 0..self.size {
+                    let v = m[(k, slot + 1)];
+                    m[(k, 0)] -= factor * v;
+                }
             }
         }
-        let keep: Vec<usize> = (0..self.size - 1).filter(|k| *k != slot).collect();
+        let keep: Vec<usize> = (0..self.size - 1).filter(|k| !slots.iter().any(|(s, _)| s == k)).collect();
         Self { size: self.size, blocks }.subset(&keep)
     }
 

@@ -15,6 +15,7 @@ mod intervals;
 mod locate;
 pub mod model;
 mod model_file;
+mod polish;
 pub mod rank;
 pub mod refine;
 mod report;
@@ -23,10 +24,13 @@ pub mod screen;
 pub mod search;
 pub mod select;
 pub mod swap;
+pub mod swung;
+pub mod tolerance;
 pub mod unknown;
 mod words;
 
 use base::Base;
+use calibration::{Calibration, Evidence};
 pub use findings::Findings;
 use lacuna_interfaces::{BadInput, ModelFile, Recording, RobotFile};
 pub use scene::Conditioning;
@@ -58,6 +62,11 @@ pub struct Outcome {
     pub findings: Findings,
     /// The model with the new terms.
     pub model: ModelFile,
+    /// Named effects with what speaks for them.
+    pub proof: Vec<(&'static str, Evidence)>,
+    /// Families that were not taken, with what their best candidate gains in the end, less the price of its
+    /// numbers [nats].
+    pub nulls: Vec<(String, f64)>,
 }
 
 /// Diagnoses a robot. `progress` is told the share done and what is being done.
@@ -65,6 +74,18 @@ pub struct Outcome {
 /// # Errors
 /// [`BadInput`] if robot file or recordings cannot be used.
 pub fn diagnose(options: &Options, progress: &mut dyn FnMut(f64, &str)) -> Result<Outcome, BadInput> {
+    diagnose_with(options, &Calibration::built_in()?, progress)
+}
+
+/// As [`diagnose`], with thresholds, probabilities and intervals of another calibration.
+///
+/// # Errors
+/// As [`diagnose`].
+pub fn diagnose_with(
+    options: &Options,
+    calibration: &Calibration,
+    progress: &mut dyn FnMut(f64, &str),
+) -> Result<Outcome, BadInput> {
     if !options.sim.is_empty() {
         // Refused rather than ignored: a comparison of two sets of recordings is not built yet.
         return Err(BadInput::new(
@@ -82,7 +103,13 @@ pub fn diagnose(options: &Options, progress: &mut dyn FnMut(f64, &str)) -> Resul
         let base = choose_base(&scene);
         let noise_nm = report::noise_floor(&scene);
         let floor_nm = floor(&scene, &base, &noise_nm);
-        let limits = Limits { entry: vec![25.0; families.len()], column: 6.0, floor_nm, noise_nm, most: 10 };
+        let limits = Limits {
+            entry: families.iter().map(|f| calibration.entry_of(&f.key())).collect(),
+            column: 6.0,
+            floor_nm,
+            noise_nm,
+            most: 10,
+        };
         let search = Search::new(&scene, &families, base.target.clone(), limits);
         let selection = search.select(&base, &seeds, progress).ok_or_else(unusable)?;
         if selection.blank.is_empty() || last {
@@ -91,6 +118,7 @@ pub fn diagnose(options: &Options, progress: &mut dyn FnMut(f64, &str)) -> Resul
                 base: &base,
                 search: &search,
                 selection: &selection,
+                calibration,
                 seed: options.seed,
             };
             return report::outcome(&material, progress).ok_or_else(unusable);

@@ -1,6 +1,8 @@
 //! What a model consists of: base columns and terms.
 
 use crate::scene::{Column, Raw};
+use crate::tolerance::DELAY;
+use std::sync::Arc;
 
 /// A column that is always in the model.
 #[derive(Debug, Clone)]
@@ -28,6 +30,26 @@ pub enum BaseRole {
     Tolerance(String),
 }
 
+impl BaseRole {
+    /// Whether its torque goes through the link, past the rotor's friction.
+    pub fn on_link(&self) -> bool {
+        match self {
+            Self::Parameter(_) => true,
+            Self::Tolerance(name) => name != DELAY,
+            _ => false,
+        }
+    }
+
+    /// Where its coefficient must be held: tolerances at ± `limit`, friction that would drive at 0.
+    pub fn held_at(&self, value: f64, limit: f64) -> Option<f64> {
+        match self {
+            Self::Tolerance(_) if value.abs() > limit => Some(value.signum()),
+            Self::Viscous(_) | Self::Coulomb(_) if value < 0.0 => Some(0.0),
+            _ => None,
+        }
+    }
+}
+
 /// A term that was taken into the model.
 #[derive(Debug, Clone)]
 pub struct Atom {
@@ -41,8 +63,10 @@ pub struct Atom {
     pub raws: Vec<Raw>,
     /// Columns at the rows.
     pub columns: Vec<Column>,
-    /// Acts in full, without an amplitude.
+    /// Acts in full, without an amplitude that is fitted.
     pub fixed: bool,
+    /// Amplitudes that its columns hold already, if it was fitted once and then held.
+    pub amplitude: Vec<f64>,
     /// Times in which it acts, if it comes and goes: from, to since switch-on [s].
     pub carries: Vec<(f64, f64)>,
 }
@@ -58,14 +82,40 @@ impl Atom {
 #[derive(Debug, Clone)]
 pub struct Model {
     /// Always there.
-    pub base: Vec<BaseColumn>,
-    /// Tolerances that sit at their limit: base index and value.
+    pub base: Arc<[BaseColumn]>,
+    /// Columns that sit at their limit: base index and value.
     pub clamped: Vec<(usize, f64)>,
     /// Terms.
     pub atoms: Vec<Atom>,
 }
 
 impl Model {
+    /// A base without terms.
+    pub fn new(base: &[BaseColumn]) -> Self {
+        Self { base: base.into(), clamped: Vec::new(), atoms: Vec::new() }
+    }
+
+    /// Without some of its terms.
+    #[must_use]
+    pub fn without(&self, gone: &[usize]) -> Self {
+        let stays = self.atoms.iter().enumerate().filter(|(i, _)| !gone.contains(i));
+        Self {
+            base: Arc::clone(&self.base),
+            clamped: self.clamped.clone(),
+            atoms: stays.map(|(_, a)| a.clone()).collect(),
+        }
+    }
+
+    /// Holds the base columns whose coefficients left their limits; false if all are within.
+    pub fn clamp(&mut self, beta: &[f64]) -> bool {
+        let free = self.free_base();
+        let over = free.iter().zip(beta).filter_map(|(i, b)| self.base[*i].role.held_at(*b, 1.0).map(|v| (*i, v)));
+        let over: Vec<(usize, f64)> = over.collect();
+        self.clamped.extend(&over);
+        self.clamped.sort_by_key(|(i, _)| *i);
+        !over.is_empty()
+    }
+
     /// Base columns that are free.
     pub fn free_base(&self) -> Vec<usize> {
         (0..self.base.len()).filter(|i| !self.clamped.iter().any(|(c, _)| c == i)).collect()
@@ -83,6 +133,12 @@ impl Model {
         let mut out: Vec<&Column> = self.base.iter().map(|b| &b.column).collect();
         out.extend(self.atoms.iter().filter(|a| !a.fixed).flat_map(|a| &a.columns));
         out
+    }
+
+    /// Index and coefficient of every base column, held ones included.
+    pub fn base_values<'a>(&'a self, beta: &'a [f64]) -> impl Iterator<Item = (usize, f64)> + 'a {
+        let free = self.free_base().into_iter().zip(beta.iter().copied());
+        free.chain(self.clamped.iter().copied())
     }
 
     /// Where the coefficients of atom `index` are.

@@ -3,6 +3,7 @@
 use crate::families::Context;
 use crate::model::{Atom, Model};
 use crate::search::{Score, Search, State};
+use crate::select::Selection;
 use rayon::prelude::*;
 
 /// A candidate and its score.
@@ -18,6 +19,8 @@ pub struct Ranked {
 
 /// What share of the best candidate's gain, less a few nats, is nearly as good.
 const NEARLY: f64 = 0.9;
+/// Residual over noise from which a joint may be a soft one.
+const SHAKEN: f64 = 2.0;
 /// See [`NEARLY`].
 const NEARLY_NATS: f64 = 12.0;
 /// Root of the sum of squares.
@@ -27,8 +30,13 @@ fn rms_of(v: &[f64]) -> f64 {
 
 impl Search<'_> {
     /// Whether a score is large enough to count, in evidence, in Nm and in folds.
-    pub(crate) fn counts(&self, ranked: &Ranked) -> bool {
-        let size = ranked.score.size_nm.iter().zip(&self.limits.floor_nm).map(|(s, f)| s / f).fold(0.0, f64::max);
+    pub(crate) fn counts(&self, state: &State, ranked: &Ranked) -> bool {
+        let event = ranked.atoms.iter().any(|a| self.families[a.family].event);
+        let size = if event {
+            ranked.score.size_nm.iter().zip(&self.limits.floor_nm).map(|(s, f)| s / f).fold(0.0, f64::max)
+        } else {
+            self.over_floor(state, &ranked.score.size_nm)
+        };
         ranked.merit > 0.0 && size > 1.0 && ranked.score.folds > 0.5
     }
 
@@ -103,9 +111,9 @@ impl Search<'_> {
 
     /// Of the candidates that count, the one with the fewest amplitudes among those that explain nearly as much
     /// as the best: a tilted base is two numbers, not six springs.
-    pub(crate) fn simplest(&self, ranked: Vec<Ranked>) -> Option<Ranked> {
+    pub(crate) fn simplest(&self, state: &State, ranked: Vec<Ranked>) -> Option<Ranked> {
         let width = |r: &Ranked| r.atoms.iter().map(|a| a.width().max(1)).sum::<usize>();
-        let ranked: Vec<Ranked> = ranked.into_iter().filter(|r| self.counts(r)).collect();
+        let ranked: Vec<Ranked> = ranked.into_iter().filter(|r| self.counts(state, r)).collect();
         let best = ranked.first()?;
         let (enough, amount) = (NEARLY * best.score.gain - NEARLY_NATS, rms_of(&best.score.size_nm));
         let near = |r: &&Ranked| r.score.gain > enough && rms_of(&r.score.size_nm) > 0.98 * amount;
@@ -122,18 +130,22 @@ impl Search<'_> {
 
     /// Elastic joints and backlash, where a residual is large enough to be one: they are dear to simulate.
     pub(crate) fn driven(&self, ctx: &Context<'_>, model: &Model, state: &State) -> Vec<Atom> {
-        let n = self.scene.joints;
         let rms = self.held_out_rms(state);
-        let most = rms.iter().copied().fold(0.0, f64::max);
-        let mut joints: Vec<usize> =
-            (0..n).filter(|j| rms[*j] > 2.5 * self.limits.noise_nm[*j] && rms[*j] > 0.75 * most).collect();
+        let over: Vec<f64> = (0..rms.len()).map(|j| rms[j] / self.limits.noise_nm[j].max(1e-30)).collect();
+        let most = over.iter().copied().fold(0.0, f64::max);
+        let mut joints: Vec<usize> = (0..rms.len()).filter(|j| over[*j] > SHAKEN.max(0.4 * most)).collect();
         // A soft joint shakes itself most.
-        joints.sort_by(|a, b| rms[*b].total_cmp(&rms[*a]));
+        joints.sort_by(|a, b| over[*b].total_cmp(&over[*a]));
         joints.truncate(2);
+        self.driven_at(ctx, model, state, &joints)
+    }
+
+    /// Elastic joints and backlash at these joints.
+    pub(crate) fn driven_at(&self, ctx: &Context<'_>, model: &Model, state: &State, joints: &[usize]) -> Vec<Atom> {
         let mut list = Vec::new();
         let residual = self.residual(model, state);
         for (f, family) in self.families.iter().enumerate().filter(|(_, f)| f.driven) {
-            for j in &joints {
+            for j in joints {
                 let shapes = match family.id() {
                     "backlash" if ctx.inertia[*j] > 0.0 && ctx.nominal_base => self.screen_backlash(ctx, &residual, *j),
                     "backlash" => Vec::new(),
@@ -143,6 +155,18 @@ impl Search<'_> {
             }
         }
         self.build(ctx, list)
+    }
+
+    /// Families that were not taken, with the gain of their best candidate of the last round, less the price of its
+    /// numbers [nats].
+    pub fn nulls(&self, selection: &Selection) -> Vec<(String, f64)> {
+        let mut best: Vec<Option<f64>> = vec![None; self.families.len()];
+        for r in selection.excluded.iter().filter(|r| r.atoms.len() == 1) {
+            let atom = &r.atoms[0];
+            let v = r.score.gain - self.limits.column * atom.width() as f64;
+            best[atom.family] = Some(best[atom.family].map_or(v, |b: f64| b.max(v)));
+        }
+        best.into_iter().zip(self.families).filter_map(|(v, f)| Some((f.key(), v?))).collect()
     }
 
     /// Refines the shapes of a candidate one term after the other.

@@ -7,6 +7,19 @@ use crate::search::{Search, State};
 impl Search<'_> {
     /// Refines the shape of `atom`, which is not in the model, by golden sections, one parameter at a time.
     pub fn refine(&self, ctx: &Context<'_>, model: &Model, state: &State, atom: &Atom) -> Atom {
+        let (spread, rounds) = if self.families[atom.family].driven { (1.12, 3) } else { (1.6, 2) };
+        self.refine_within(ctx, model, state, atom, (spread, rounds)).0
+    }
+
+    /// As [`Search::refine`], within a factor of `spread` at first, in so many rounds; with what it gained [nats].
+    pub fn refine_within(
+        &self,
+        ctx: &Context<'_>,
+        model: &Model,
+        state: &State,
+        atom: &Atom,
+        (mut spread, rounds): (f64, usize),
+    ) -> (Atom, f64) {
         let family = &self.families[atom.family];
         let bounds: Vec<Option<(f64, f64)>> =
             family.shapes(ctx, atom.joint).unwrap_or_default().into_iter().map(|s| s.bounds).collect();
@@ -16,8 +29,8 @@ impl Search<'_> {
             _ => f64::NEG_INFINITY,
         };
         let mut best_value = value(&best);
-        let mut spread = if family.driven { 1.12f64 } else { 1.6 };
-        for _ in 0..if family.driven { 3 } else { 2 } {
+        let start = best_value;
+        for _ in 0..rounds {
             for (i, bound) in bounds.iter().enumerate() {
                 let Some((low, high)) = bound else { continue };
                 // Bounds of one sign are searched in ratios, others in differences.
@@ -56,6 +69,7 @@ impl Search<'_> {
             }
             spread = spread.sqrt();
         }
-        best
+        let gain = if start.is_finite() { best_value - start } else { 0.0 };
+        (best, gain)
     }
 }

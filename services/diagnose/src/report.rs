@@ -2,7 +2,7 @@
 
 use crate::Outcome;
 use crate::base::Base;
-use crate::calibration::probability;
+use crate::calibration::{Calibration, Evidence, MOST_MARGIN};
 use crate::context::context;
 use crate::families::Context;
 use crate::findings::*;
@@ -41,6 +41,8 @@ pub struct Material<'a> {
     pub search: &'a Search<'a>,
     /// Its result.
     pub selection: &'a Selection,
+    /// What evidence means.
+    pub calibration: &'a Calibration,
     /// Seed of the bootstrap.
     pub seed: u64,
 }
@@ -69,7 +71,7 @@ fn relative(residual: &[f64], size: &[f64]) -> f64 {
 pub fn outcome(m: &Material<'_>, progress: &mut dyn FnMut(f64, &str)) -> Option<Outcome> {
     let (scene, search, selection) = (m.scene, m.search, m.selection);
     let n = scene.joints;
-    let mut empty = Model { base: m.base.columns.clone(), clamped: Vec::new(), atoms: Vec::new() };
+    let mut empty = Model::new(&m.base.columns);
     let before = search.fit(&mut empty)?;
     let ctx = context(scene, m.base, search, &selection.model, Some(&selection.state));
     let (before_rms, after_rms) = (rms(search, &before.fit), rms(search, &selection.state.fit));
@@ -80,7 +82,8 @@ pub fn outcome(m: &Material<'_>, progress: &mut dyn FnMut(f64, &str)) -> Option<
     let base_box = search.black_box(&ctx, &base_residual);
     let rest_box = search.black_box(&ctx, &search.residual(&selection.model, &selection.state));
     progress(0.93, "locating and writing");
-    let mut findings = named(m, &ctx)?;
+    let mut proof = Vec::new();
+    let mut findings = named(m, &ctx, &mut proof)?;
     let (unknown, unknown_finding) = unknown(m, &ctx, &rest_box, &before_rms);
     findings.extend(unknown_finding);
     findings.sort_by(|a, b| gain(b).total_cmp(&gain(a)));
@@ -120,7 +123,7 @@ pub fn outcome(m: &Material<'_>, progress: &mut dyn FnMut(f64, &str)) -> Option<
         findings,
     };
     out.verdict = words::verdict(&out);
-    Some(Outcome { findings: out, model: model_file(m, &ctx, after_rms) })
+    Some(Outcome { findings: out, model: model_file(m, &ctx, after_rms), proof, nulls: m.search.nulls(m.selection) })
 }
 
 /// Held-out power that a finding removes.
@@ -129,7 +132,7 @@ fn gain(f: &Finding) -> f64 {
 }
 
 /// Findings of the terms in the model, one per effect.
-fn named(m: &Material<'_>, ctx: &Context<'_>) -> Option<Vec<Finding>> {
+fn named(m: &Material<'_>, ctx: &Context<'_>, proof: &mut Vec<(&'static str, Evidence)>) -> Option<Vec<Finding>> {
     let model = &m.selection.model;
     let mut out = Vec::new();
     let mut done: Vec<&str> = Vec::new();
@@ -150,7 +153,10 @@ fn named(m: &Material<'_>, ctx: &Context<'_>) -> Option<Vec<Finding>> {
         let held_out = reduction(m, &without, &where_);
         let nats = m.search.compare(&m.selection.state, &without, &m.selection.state.fit, Vec::new()).gain;
         let group: Vec<String> = family.group().iter().map(|s| (*s).to_owned()).collect();
-        let (probability, alternatives) = probability(m, family.id(), nats, &group);
+        let evidence = evidence(m, family.id(), nats, &where_, &group);
+        let rivals = m.selection.rivals.iter().find(|r| r.effect == family.id());
+        let (probability, alternatives) = m.calibration.probability(&evidence, rivals, &group);
+        proof.push((family.id(), evidence));
         let parameters = all.iter().flat_map(|i| parameters(m, ctx, *i, names.len() > 1)).collect();
         let mut finding = Finding {
             effect: family.id().to_owned(),
@@ -170,6 +176,18 @@ fn named(m: &Material<'_>, ctx: &Context<'_>) -> Option<Vec<Finding>> {
         out.push(finding);
     }
     Some(out)
+}
+
+/// What speaks for an effect: what is lost without it, its lead, and what the model leaves at its joints.
+fn evidence(m: &Material<'_>, id: &str, nats: f64, joints: &[usize], group: &[String]) -> Evidence {
+    let rivals = m.selection.rivals.iter().find(|r| r.effect == id);
+    let best = rivals
+        .into_iter()
+        .flat_map(|r| r.others.iter().filter(|o| !group.iter().any(|g| g == o.0)).map(|o| r.merit - o.1))
+        .fold(10.0 * MOST_MARGIN, f64::min);
+    let left = rms(m.search, &m.selection.state.fit);
+    let over = |j: &usize| left[*j] / m.search.limits.noise_nm[*j].max(1e-30);
+    Evidence { nats, margin: best, left: joints.iter().map(over).fold(1.0, f64::max) }
 }
 
 /// Held-out residual with and without some terms at `joints`, its interval by bootstrap over folds.
@@ -279,7 +297,7 @@ fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[
     let finding = Finding {
         effect: "unknown".into(),
         joints: vec![joint.clone()],
-        probability: 0.9,
+        probability: m.calibration.unknown,
         status: "unknown".into(),
         alternatives: Vec::new(),
         group: Vec::new(),

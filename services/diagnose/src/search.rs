@@ -8,9 +8,11 @@
 
 use crate::families::{Context, Family};
 use crate::gram::{Fit, Gram, Layout};
-use crate::model::{Atom, BaseRole, Model};
+use crate::model::{Atom, BaseColumn, BaseRole, Model};
 use crate::scene::{Column, Scene};
+use crate::tolerance::DELAY;
 use rayon::prelude::*;
+use std::sync::OnceLock;
 
 /// A model with its fit.
 pub struct State {
@@ -61,6 +63,8 @@ pub struct Search<'a> {
     pub target: Column,
     /// Thresholds.
     pub limits: Limits,
+    /// Held-out residual of the base alone, per joint [Nm]; set when the search begins.
+    pub base_rms_nm: OnceLock<Vec<f64>>,
 }
 
 /// What decides.
@@ -78,8 +82,10 @@ pub struct Limits {
     pub most: usize,
 }
 
-/// Name of the tolerance of half a sample of delay.
-pub const DELAY: &str = "torque delay";
+/// Most rounds of holding columns at their limits.
+const CLAMP_ROUNDS: usize = 8;
+/// Share of what is explained that a further effect must add: no law holds to the last per cent.
+const LAW_ERROR: f64 = 0.035;
 /// Least share of independent rows: a large slow misfit may blunt the evidence, but only so far.
 const LEAST_INDEPENDENT: f64 = 0.05;
 /// Share of the prior's limit at which a tolerance is taken to be one standard deviation.
@@ -96,37 +102,69 @@ impl<'a> Search<'a> {
             })
             .collect();
         let layout = Layout { folds: scene.folds.clone(), joints: scene.joints, count };
-        Self { scene, families, layout, target, limits }
+        Self { scene, families, layout, target, limits, base_rms_nm: OnceLock::new() }
     }
 
-    /// Fits a model; tolerances that run out of their limits are held there.
+    /// Fits a model; tolerances that run out of their limits are held there, friction that would drive is held at 0.
     pub fn fit(&self, model: &mut Model) -> Option<State> {
         model.clamped.clear();
-        let mut state = self.fit_once(model)?;
-        for _ in 0..6 {
-            let free = model.free_base();
-            let over: Vec<(usize, f64)> = free
-                .iter()
-                .enumerate()
-                .filter(|(_, i)| matches!(model.base[**i].role, BaseRole::Tolerance(_)))
-                .filter(|(slot, _)| state.fit.beta[*slot].abs() > 1.0)
-                .map(|(slot, i)| (*i, state.fit.beta[slot].signum()))
-                .collect();
-            if over.is_empty() {
+        let target = self.free_target(model);
+        let gram = Gram::new(&self.layout, &target, &model.all_columns());
+        let mut state = self.fit_once(model, &gram, &target)?;
+        for _ in 0..CLAMP_ROUNDS {
+            if !model.clamp(&state.fit.beta) {
                 break;
             }
-            model.clamped.extend(over);
-            model.clamped.sort_by_key(|(i, _)| *i);
-            state = self.fit_once(model)?;
+            state = self.fit_once(model, &gram, &target)?;
         }
         if !model.clamped.is_empty() {
-            let mut target = state.target.clone();
-            for (i, value) in &model.clamped {
-                subtract(&mut target, &model.base[*i].column, -value);
-            }
-            state.soft = Some(Soft { gram: Gram::new(&self.layout, &target, &model.all_columns()), target });
+            state.soft = Some(Soft { gram, target });
         }
         Some(state)
+    }
+
+    /// Fit of the model without some of its terms, at the same weights. Tolerances are held at their limits here
+    /// too: else they would take the place of what is taken away.
+    pub fn fit_without(&self, model: &Model, state: &State, gone: &[usize]) -> Option<Fit> {
+        let mut rest = model.without(gone);
+        let taken: Vec<&Atom> = gone.iter().filter_map(|i| model.atoms.get(*i)).collect();
+        let gram = if taken.iter().any(|a| a.fixed) || (state.soft.is_none() && !model.clamped.is_empty()) {
+            Gram::new(&self.layout, &self.free_target(&rest), &rest.all_columns())
+        } else {
+            let all = state.soft.as_ref().map_or(&state.gram, |s| &s.gram);
+            let mut keep: Vec<usize> = (0..model.base.len()).collect();
+            for i in (0..model.atoms.len()).filter(|i| !gone.contains(i)) {
+                keep.extend(model.slots(i).map(|s| s + model.clamped.len()));
+            }
+            all.subset(&keep)
+        };
+        rest.clamped.clear();
+        let mut fit = None;
+        for _ in 0..=CLAMP_ROUNDS {
+            // A delay that is taken away must not come back as a tolerance.
+            let precision = self.precision(&rest, &taken);
+            let new = gram.held(&rest.clamped).fit(&self.layout, &state.weights, &precision)?;
+            let again = rest.clamp(&new.beta);
+            fit = Some(Fit { prior_nats: new.prior_nats + self.held_nats(&rest), ..new });
+            if !again {
+                break;
+            }
+        }
+        fit
+    }
+
+    /// Target less the terms that act in full.
+    fn free_target(&self, model: &Model) -> Column {
+        let mut target = self.target.clone();
+        for column in model.atoms.iter().filter(|a| a.fixed).flat_map(|a| &a.columns) {
+            subtract(&mut target, column, 1.0);
+        }
+        target
+    }
+
+    /// What the prior says of the held tolerances [nats].
+    fn held_nats(&self, model: &Model) -> f64 {
+        model.clamped.iter().map(|(_, v)| 0.5 * (v / TOLERANCE_SD).powi(2)).sum()
     }
 
     /// Prior precision of the columns of `model`.
@@ -151,16 +189,13 @@ impl<'a> Search<'a> {
         out
     }
 
-    fn fit_once(&self, model: &Model) -> Option<State> {
-        let mut target = self.target.clone();
+    fn fit_once(&self, model: &Model, all: &Gram, free_target: &Column) -> Option<State> {
+        let mut target = free_target.clone();
         for (i, value) in &model.clamped {
             subtract(&mut target, &model.base[*i].column, *value);
         }
-        for column in model.atoms.iter().filter(|a| a.fixed).flat_map(|a| &a.columns) {
-            subtract(&mut target, column, 1.0);
-        }
         let columns = model.columns();
-        let gram = Gram::new(&self.layout, &target, &columns);
+        let gram = all.held(&model.clamped);
         let precision = self.precision(model, &[]);
         let n = self.scene.joints;
         let mut weights: Vec<f64> = (0..n)
@@ -180,6 +215,7 @@ impl<'a> Search<'a> {
             }
             fit = gram.fit(&self.layout, &weights, &precision)?;
         }
+        fit.prior_nats += self.held_nats(model);
         Some(State { gram, fit, weights, independent, target, precision, soft: None })
     }
 
@@ -219,15 +255,15 @@ impl<'a> Search<'a> {
         if let Some(soft) = &state.soft {
             let all: Vec<usize> = (0..model.base.len()).collect();
             let fit = self.fit_with(&model.all_columns(), (&soft.gram, &soft.target), (model, &all), state, atoms)?;
-            let within =
-                |(i, b): (usize, &f64)| !matches!(model.base[i].role, BaseRole::Tolerance(_)) || b.abs() < 1.05;
-            if fit.beta.iter().enumerate().take(model.base.len()).all(within) {
+            let within = |(base, b): (&BaseColumn, &f64)| base.role.held_at(*b, 1.05).is_none();
+            if model.base.iter().zip(&fit.beta).all(within) {
                 let amplitude = fit.beta[fit.beta.len() - own..].to_vec();
                 return Some(self.compare(state, &state.fit, &fit, amplitude));
             }
         }
         let free = model.free_base();
-        let fit = self.fit_with(&model.columns(), (&state.gram, &state.target), (model, &free), state, atoms)?;
+        let mut fit = self.fit_with(&model.columns(), (&state.gram, &state.target), (model, &free), state, atoms)?;
+        fit.prior_nats += self.held_nats(model);
         let amplitude = fit.beta[fit.beta.len() - own..].to_vec();
         Some(self.compare(state, &state.fit, &fit, amplitude))
     }
@@ -249,9 +285,8 @@ impl<'a> Search<'a> {
         more.extend(&fixed);
         let mut gram = gram.extended(&self.layout, &have, &more);
         let size = columns.len() + more.len();
-        for slot in (size - fixed.len()..size).rev() {
-            gram = gram.absorbed(slot);
-        }
+        let acting: Vec<(usize, f64)> = (size - fixed.len()..size).map(|slot| (slot, 1.0)).collect();
+        gram = gram.held(&acting);
         let mut precision = self.precision_of(model, base, atoms);
         precision.extend(free.iter().map(|_| 0.0));
         gram.fit(&self.layout, &state.weights, &precision)
@@ -280,6 +315,18 @@ impl<'a> Search<'a> {
         Score { gain, amplitude, size_nm, folds: better as f64 / old.held_out.len().max(1) as f64 }
     }
 
+    /// How large `size_nm` per joint is against what counts: noise, and the few per cent to which laws hold of what
+    /// the model explains already.
+    pub fn over_floor(&self, state: &State, size_nm: &[f64]) -> f64 {
+        let left = self.held_out_rms(state);
+        let explained = |j: usize| {
+            let base = self.base_rms_nm.get().and_then(|b| b.get(j)).copied().unwrap_or(0.0);
+            (base * base - left[j] * left[j]).max(0.0).sqrt()
+        };
+        let floor = |j: usize| self.limits.floor_nm[j].max(LAW_ERROR * explained(j));
+        (0..size_nm.len()).map(|j| size_nm[j] / floor(j)).fold(0.0, f64::max)
+    }
+
     /// Residual of the fitted model at the rows.
     pub fn residual(&self, model: &Model, state: &State) -> Column {
         residual(&state.target, &model.columns(), &state.fit.beta)
@@ -290,7 +337,7 @@ impl<'a> Search<'a> {
         let raws = self.families[family].raws(ctx, joint, shape);
         let columns = raws.iter().map(|r| self.scene.column(r.clone())).collect();
         let fixed = self.families[family].fixed();
-        Atom { family, joint, shape: shape.to_vec(), raws, columns, fixed, carries: Vec::new() }
+        Atom { family, joint, shape: shape.to_vec(), raws, columns, fixed, amplitude: Vec::new(), carries: Vec::new() }
     }
 
     /// Candidates at all shapes, as `(family, joints, shape)`.

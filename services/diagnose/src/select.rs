@@ -110,8 +110,10 @@ impl Search<'_> {
 
     /// The whole search.
     pub fn select(&self, base: &Base, seeds: &[Seed], progress: &mut dyn FnMut(f64, &str)) -> Option<Selection> {
-        let mut model = Model { base: base.columns.clone(), clamped: Vec::new(), atoms: Vec::new() };
+        let mut model = Model::new(&base.columns);
         let mut state = self.fit(&mut model)?;
+        // A second run, with stretches left out, has a base of its own.
+        let _ = self.base_rms_nm.set(self.held_out_rms(&state));
         self.tell(&model, &state, progress);
         let start = context(self.scene, base, self, &model, Some(&state));
         self.plant(&start, base, seeds, &mut model, &mut state)?;
@@ -133,7 +135,7 @@ impl Search<'_> {
             let mut ranked = if settled { Vec::new() } else { self.round(&ctx, &model, &state, &pool) };
             // Soft joints are dear to simulate: only where nothing plain explains most of it.
             let driven = model.atoms.iter().any(|a| self.families[a.family].driven);
-            let idle = !ranked.iter().any(|r| self.counts(r));
+            let idle = !ranked.iter().any(|r| self.counts(&state, r));
             let due = step == 0 || (idle && searched < 2);
             if due && !settled && !driven && !ranked.iter().any(|r| self.explains(&state, r)) {
                 searched += 1;
@@ -151,6 +153,7 @@ impl Search<'_> {
             }
             let mut top: Vec<Ranked> = top.par_iter().map(|r| self.refined(&ctx, &model, &state, r)).collect();
             top.extend(carries);
+            top.extend(self.swung(&ctx, &model, &state));
             top.extend(self.contact(&ctx, &model, &state));
             top.sort_by(|a, b| b.merit.total_cmp(&a.merit));
             for t in &top {
@@ -159,8 +162,10 @@ impl Search<'_> {
                     &format!("  ? {} {}", self.label(t), self.numbers(t)),
                 );
             }
-            let Some(best) = self.simplest(top) else {
+            let Some(best) = self.simplest(&state, top.clone()) else {
                 excluded = std::mem::take(&mut ranked);
+                excluded.extend(top);
+                excluded.sort_by(|a, b| b.merit.total_cmp(&a.merit));
                 break;
             };
             progress(0.3 + 0.4 * step as f64 / self.limits.most as f64, &format!("+ {}", self.label(&best)));
@@ -178,6 +183,9 @@ impl Search<'_> {
                 continue;
             }
             (model, state) = (next, next_state);
+            if model.atoms.len() > 1 {
+                self.polish(base, &mut model, &mut state, 1)?;
+            }
             self.prune(&mut model, &mut state, progress)?;
             let entered = best.atoms.iter().map(|a| (a.family, a.joint));
             banned.extend(entered.filter(|e| !model.atoms.iter().any(|a| (a.family, a.joint) == *e)));
@@ -188,8 +196,11 @@ impl Search<'_> {
                 return Some(Selection { model, state, rivals: Vec::new(), blank, excluded });
             }
         }
+        self.polish(base, &mut model, &mut state, 2)?;
         self.prune(&mut model, &mut state, progress)?;
         progress(0.75, "trying what else could explain it");
+        self.soften(base, &mut model, &mut state, progress)?;
+        self.settle(base, &mut model, &mut state, progress)?;
         let rivals = self.swap(base, &fixed, &mut model, &mut state, progress)?;
         Some(Selection { model, state, rivals, blank: Vec::new(), excluded })
     }

@@ -2,10 +2,9 @@
 
 use crate::base::Base;
 use crate::context::context;
-use crate::gram::{Fit, Gram};
 use crate::model::{Atom, Model};
 use crate::rank::Ranked;
-use crate::search::{Search, State, subtract};
+use crate::search::{Search, State};
 use rayon::prelude::*;
 
 /// How much better a rival must be to take an effect's place [nats].
@@ -67,7 +66,7 @@ impl Search<'_> {
             ranked.sort_by(|a, b| b.merit.total_cmp(&a.merit));
             if let Some(best) = ranked.first()
                 && best.merit > merit + SWAP_NATS
-                && self.counts(best)
+                && self.counts(&rest, best)
                 && swaps < 3
             {
                 let better = self.refined(&ctx, &without, &rest, best);
@@ -91,22 +90,6 @@ impl Search<'_> {
         Some(out)
     }
 
-    /// Fit of the model without some of its terms, at the same weights.
-    pub fn fit_without(&self, model: &Model, state: &State, gone: &[usize]) -> Option<Fit> {
-        let mut target = state.target.clone();
-        let mut rest = model.clone();
-        for i in gone.iter().rev() {
-            let atom = rest.atoms.remove(*i);
-            for column in atom.columns.iter().filter(|_| atom.fixed) {
-                subtract(&mut target, column, -1.0);
-            }
-        }
-        // A delay that is taken away must not come back as a tolerance.
-        let taken: Vec<&Atom> = gone.iter().filter_map(|i| model.atoms.get(*i)).collect();
-        let precision = self.precision(&rest, &taken);
-        Gram::new(&self.layout, &target, &rest.columns()).fit(&self.layout, &state.weights, &precision)
-    }
-
     /// Takes out terms that are no longer worth their columns.
     pub(crate) fn prune(
         &self,
@@ -120,7 +103,7 @@ impl Search<'_> {
                 let atom = &model.atoms[i];
                 let fit = self.fit_without(model, state, &[i])?;
                 let loss = self.compare(state, &fit, &state.fit, Vec::new());
-                let size = loss.size_nm.iter().zip(&self.limits.floor_nm).map(|(s, f)| s / f).fold(0.0, f64::max);
+                let size = self.over_floor(state, &loss.size_nm);
                 let merit = loss.gain - self.limits.column * atom.width() as f64 - 0.5 * self.limits.entry[atom.family];
                 let merit = if size < 0.8 && !self.families[atom.family].event { merit.min(-1.0) } else { merit };
                 if merit < 0.0 && worst.is_none_or(|(_, w)| merit < w) {

@@ -107,6 +107,12 @@ pub fn sentence(f: &Finding, unit: &str) -> String {
             format!("The robot carries {} more than the model at platform or tip", v("m"))
         }
         "payload" => format!("The robot carries {} from time to time ({} carries)", v("m"), f.intervals_s.len()),
+        "payload_ecc" => format!(
+            "The payload sits off the axis of the wrist, which swings it round at {} (moments {}, {} in the first carry)",
+            v("omega"),
+            v("m_x"),
+            v("m_y")
+        ),
         "torque_delay" => format!("The torque signal is late by {} against the position", v("D")),
         "torque_saturation" => format!("{who}: above {} the drive reports more torque than it gives", v("tau_k")),
         "air_drag" => format!("Air drag at platform or tip, {}", v("c")),

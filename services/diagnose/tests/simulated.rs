@@ -36,7 +36,7 @@ fn run(options: &Options) -> Outcome {
 #[test]
 fn nothing_missing_is_no_finding() {
     let (options, simulation) = case(&[], 11);
-    let Outcome { findings, model } = run(&options);
+    let Outcome { findings, model, .. } = run(&options);
     assert!(findings.findings.is_empty(), "{:?}", findings.findings);
     assert!(!findings.mismatch.detected && !findings.unknown.flag);
     let truth = &simulation.truth.base_params;
@@ -49,7 +49,7 @@ fn nothing_missing_is_no_finding() {
 #[test]
 fn stribeck_is_named_with_its_joint_and_the_model_carries_it() {
     let (options, simulation) = case(&["stribeck"], 12);
-    let Outcome { findings, model } = run(&options);
+    let Outcome { findings, model, .. } = run(&options);
     let first = findings.findings.first().unwrap();
     assert_eq!(first.effect, "stribeck", "{}", findings.verdict);
     assert_eq!(first.joints, simulation.truth.effects[0].joints);

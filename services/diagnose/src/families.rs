@@ -266,6 +266,8 @@ impl Family {
             "viscous_power" => shape.first().is_some_and(|p| (p - 1.0).abs() > 0.12),
             "thermal_viscous" if self.keep.first() == Some(&"b_T") => amplitude.first().is_some_and(|b| *b < 0.0),
             "load_friction" => amplitude.first().is_some_and(|m| *m < 0.6),
+            // A spring that pulls back; the cubic alone has wells elsewhere, in which it pushes.
+            "cable_spring" => amplitude.iter().all(|k| *k >= 0.0),
             "kt_scale" => amplitude.first().is_some_and(|m| m.abs() < 0.6),
             _ => true,
         }
@@ -413,7 +415,7 @@ fn saturation(ctx: &Context<'_>, j: usize) -> Vec<ShapeRange> {
 fn cable(ctx: &Context<'_>, j: usize) -> Vec<ShapeRange> {
     let (low, high) = ctx.range[j];
     let at = |t: f64| low + t * (high - low);
-    one("q_0", vec![at(0.0), at(0.25), at(0.5), at(0.75), at(1.0)], (at(-0.5), at(1.5)))
+    one("q_0", (-2..=10).map(|i| at(0.125 * f64::from(i))).collect(), (at(-0.5), at(1.5)))
 }
 
 fn turning(_: &Context<'_>, _: usize) -> Vec<ShapeRange> {

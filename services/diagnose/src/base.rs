@@ -61,26 +61,52 @@ fn push(scene: &Scene, out: &mut Vec<BaseColumn>, role: BaseRole, raw: Raw) {
 impl Base {
     /// Base on the robot file's masses.
     pub fn nominal(scene: &Scene) -> Self {
-        let nominal = scene.rigid_raw(scene.body.as_ref(), &scene.pi);
+        let mut base = Self::bare(scene, true);
+        base.fit_friction(scene);
+        base.add_tolerances(scene);
+        base
+    }
+
+    /// This base on other recordings: the same columns, with the travel of the friction states fitted here.
+    pub fn on(&self, scene: &Scene) -> Self {
+        let mut base = Self::bare(scene, self.nominal_base);
+        base.width.clone_from(&self.width);
+        base.add_friction(scene);
+        if self.nominal_base {
+            base.add_tolerances(scene);
+            return base;
+        }
+        base.add_offsets(scene);
+        let symbols = scene.body.parameters();
+        let mut dynamic: Vec<Option<Column>> = parameter_columns(scene).into_iter().map(Some).collect();
+        for own in &self.columns {
+            let BaseRole::Parameter(name) = &own.role else { continue };
+            let at = symbols.iter().position(|s| s.symbol == *name);
+            let column = at.and_then(|i| dynamic.get_mut(i)?.take());
+            let column = column.unwrap_or_else(|| Column { part: vec![Vec::new(); scene.joints] });
+            base.columns.push(BaseColumn { role: own.role.clone(), raw: Raw::new(), column });
+        }
+        base
+    }
+
+    /// Torques without columns.
+    fn bare(scene: &Scene, nominal_base: bool) -> Self {
         let torque_raw: Raw = scene.pieces.iter().map(|p| p.tau.clone()).collect();
-        let difference: Raw = torque_raw
-            .iter()
-            .zip(&nominal)
-            .map(|(a, b)| a.iter().zip(b).map(|(x, y)| x.iter().zip(y).map(|(x, y)| x - y).collect()).collect())
-            .collect();
-        let mut base = Self {
-            target: scene.column(difference),
+        let nominal = if nominal_base {
+            scene.rigid_raw(scene.body.as_ref(), &scene.pi)
+        } else {
+            scene.pieces.iter().map(|p| vec![vec![0.0; p.len()]; scene.joints]).collect()
+        };
+        Self {
+            target: scene.column(difference(&torque_raw, &nominal)),
             torque: scene.column(torque_raw),
             nominal,
             stick: Raw::new(),
             width: vec![1e-4; scene.joints],
             columns: Vec::new(),
             tolerances: Vec::new(),
-            nominal_base: true,
-        };
-        base.add_friction(scene);
-        base.add_tolerances(scene);
-        base
+            nominal_base,
+        }
     }
 
     /// Residual with viscous and Coulomb friction over the torque, each joint by its own, root mean square.
@@ -98,24 +124,9 @@ impl Base {
 
     /// Base whose dynamic parameters are fitted freely: the smallest set that the motion tells apart.
     pub fn free(scene: &Scene) -> Self {
-        let torque_raw: Raw = scene.pieces.iter().map(|p| p.tau.clone()).collect();
-        let torque = scene.column(torque_raw);
-        let nominal = scene.pieces.iter().map(|p| vec![vec![0.0; p.len()]; scene.joints]).collect();
-        let mut base = Self {
-            target: torque.clone(),
-            torque,
-            nominal,
-            stick: Raw::new(),
-            width: vec![1e-4; scene.joints],
-            columns: Vec::new(),
-            tolerances: Vec::new(),
-            nominal_base: false,
-        };
-        base.add_friction(scene);
-        for j in 0..scene.joints {
-            let raw = crate::scene::constant(scene, j);
-            push(scene, &mut base.columns, BaseRole::Offset(j), raw);
-        }
+        let mut base = Self::bare(scene, false);
+        base.fit_friction(scene);
+        base.add_offsets(scene);
         let dynamic = parameter_columns(scene);
         let fixed: Vec<&Column> = base.columns.iter().map(|c| &c.column).collect();
         let keep = independent(&fixed, &dynamic);
@@ -127,11 +138,23 @@ impl Base {
         base
     }
 
-    fn add_friction(&mut self, scene: &Scene) {
+    fn fit_friction(&mut self, scene: &Scene) {
         let speeds: Raw = scene.pieces.iter().map(|p| p.qd.clone()).collect();
         for j in 0..scene.joints {
             self.width[j] = fit_width(scene, &self.target, &speeds, j);
         }
+        self.add_friction(scene);
+    }
+
+    fn add_offsets(&mut self, scene: &Scene) {
+        for j in 0..scene.joints {
+            let raw = crate::scene::constant(scene, j);
+            push(scene, &mut self.columns, BaseRole::Offset(j), raw);
+        }
+    }
+
+    fn add_friction(&mut self, scene: &Scene) {
+        let speeds: Raw = scene.pieces.iter().map(|p| p.qd.clone()).collect();
         self.stick = sticks(scene, &self.width);
         for j in 0..scene.joints {
             push(scene, &mut self.columns, BaseRole::Viscous(j), only(scene, &speeds, j));
@@ -160,6 +183,11 @@ impl Base {
         }
         out
     }
+}
+
+fn difference(a: &Raw, b: &Raw) -> Raw {
+    let one = |(x, y): (&Vec<f64>, &Vec<f64>)| x.iter().zip(y).map(|(x, y)| x - y).collect();
+    a.iter().zip(b).map(|(a, b)| a.iter().zip(b).map(one).collect()).collect()
 }
 
 /// Regressor columns of all dynamic parameters at the rows.

@@ -96,7 +96,7 @@ pub fn context<'a>(
 }
 
 /// Dynamic parameters of a freely fitted base; those that were not fitted are 0.
-fn free_parameters(scene: &Scene, model: &Model, state: &State) -> Vec<f64> {
+pub(crate) fn free_parameters(scene: &Scene, model: &Model, state: &State) -> Vec<f64> {
     let mut pi = vec![0.0; scene.pi.len()];
     for (slot, i) in model.free_base().into_iter().enumerate() {
         if let BaseRole::Parameter(symbol) = &model.base[i].role
@@ -121,7 +121,7 @@ fn rotor_inertia(scene: &Scene) -> Vec<f64> {
         .collect()
 }
 
-fn add(to: &mut Raw, from: &Raw, factor: f64) {
+pub(crate) fn add(to: &mut Raw, from: &Raw, factor: f64) {
     for (a, b) in to.iter_mut().zip(from) {
         for (x, y) in a.iter_mut().zip(b) {
             if y.is_empty() {

@@ -121,7 +121,7 @@ impl Search<'_> {
     }
 
     /// Rows in which the payload is carried.
-    fn viterbi(&self, residual: &Column, phi: &Column, mass: f64, weights: &[f64]) -> Vec<bool> {
+    pub(crate) fn viterbi(&self, residual: &Column, phi: &Column, mass: f64, weights: &[f64]) -> Vec<bool> {
         let mut out = vec![false; self.scene.rows];
         for piece in &self.scene.pieces {
             let rows = piece.rows.clone();
@@ -149,7 +149,7 @@ impl Search<'_> {
     }
 
     /// From and to of the rows in which the payload is carried, since switch-on [s].
-    fn carry_times(&self, carried: &[bool]) -> Vec<(f64, f64)> {
+    pub(crate) fn carry_times(&self, carried: &[bool]) -> Vec<(f64, f64)> {
         let scene = self.scene;
         let step = scene.stride as f64 / scene.rate_hz;
         let mut out = Vec::new();

@@ -110,6 +110,12 @@ pub struct Finding {
     pub parameters: Vec<Parameter>,
     /// Its effect on held-out recordings.
     pub held_out: Reduction,
+    /// Region of the motion in which it acts most, if it has one by its law.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub region: Vec<Region>,
+    /// Its effect in that region.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub in_region: Option<Reduction>,
     /// Stage of the pipeline it belongs to.
     pub stage: String,
     /// Intervals in which it acts, if it comes and goes: file, from, to [s].
@@ -168,6 +174,21 @@ pub struct HeldOut {
     pub relative_after: f64,
     /// A black box on top of the base over the torque, same folds.
     pub black_box_relative: f64,
+    /// 95 % interval of each of `before_rms_nm`.
+    #[serde(default)]
+    pub before_ci95_nm: Vec<[f64; 2]>,
+    /// 95 % interval of each of `after_rms_nm`.
+    #[serde(default)]
+    pub after_ci95_nm: Vec<[f64; 2]>,
+    /// 95 % interval of `relative_after`.
+    #[serde(default)]
+    pub relative_after_ci95: [f64; 2],
+    /// The black box, per joint [Nm].
+    #[serde(default)]
+    pub black_box_rms_nm: Vec<f64>,
+    /// How rows were held out: `files` (test stretches), `recordings`, `halves`, `kfold=N`, or `parts` of time.
+    #[serde(default)]
+    pub split: String,
 }
 
 /// What no named effect explains.

@@ -62,7 +62,7 @@ fn kind_of(family: &Family, amplitude: bool) -> NumberKind {
 }
 
 /// Half of the 95 % interval of an amplitude, from the fit.
-fn spread(fit: &Fit, slot: usize) -> f64 {
+pub fn spread(fit: &Fit, slot: usize) -> f64 {
     let draws: Vec<f64> = fit.fold_beta.iter().filter_map(|b| b.get(slot).copied()).collect();
     let folds = draws.len() as f64;
     let mean = stats::mean(&draws);

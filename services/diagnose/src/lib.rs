@@ -6,37 +6,53 @@
 pub mod base;
 pub mod boost;
 pub mod calibration;
+mod check;
 pub mod context;
 pub mod events;
+pub mod evidence;
 pub mod families;
 pub mod findings;
+pub mod forward;
 pub mod gram;
+mod held;
 mod intervals;
 mod locate;
 pub mod model;
 mod model_file;
 mod polish;
+mod proof;
 pub mod rank;
 pub mod refine;
+mod region;
 mod report;
+mod rival;
 pub mod scene;
 pub mod screen;
 pub mod search;
 pub mod select;
+mod sim;
+pub mod split;
 pub mod swap;
 pub mod swung;
 pub mod tolerance;
+mod transfer;
 pub mod unknown;
 mod words;
 
 use base::Base;
-use calibration::{Calibration, Evidence};
+use calibration::Calibration;
+pub use evidence::Evidence;
+use families::Family;
 pub use findings::Findings;
 use lacuna_interfaces::{BadInput, ModelFile, Recording, RobotFile};
 pub use scene::Conditioning;
-use scene::Scene;
+use scene::{Column, Raw, Scene};
 use search::{Limits, Search};
-use select::Seed;
+use select::{Seed, Selection};
+use sim::Simulator;
+use split::Set;
+pub use split::{Holdout, Span, Split};
+use transfer::Fitted;
 
 /// What is to be diagnosed.
 #[derive(Debug, Clone)]
@@ -49,7 +65,7 @@ pub struct Options {
     pub recordings: Vec<Recording>,
     /// Recordings of the user's simulator on the same references; empty: the robot file is the simulation.
     pub sim: Vec<Recording>,
-    /// Band, moving threshold, start times.
+    /// Band, moving threshold, start times, split.
     pub conditioning: Conditioning,
     /// Seed of everything drawn.
     pub seed: u64,
@@ -63,10 +79,12 @@ pub struct Outcome {
     /// The model with the new terms.
     pub model: ModelFile,
     /// Named effects with what speaks for them.
-    pub proof: Vec<(&'static str, Evidence)>,
+    pub proof: Vec<(&'static str, calibration::Evidence)>,
     /// Families that were not taken, with what their best candidate gains in the end, less the price of its
     /// numbers [nats].
     pub nulls: Vec<(String, f64)>,
+    /// What a report shows beside them.
+    pub evidence: Evidence,
 }
 
 /// Diagnoses a robot. `progress` is told the share done and what is being done.
@@ -86,23 +104,118 @@ pub fn diagnose_with(
     calibration: &Calibration,
     progress: &mut dyn FnMut(f64, &str),
 ) -> Result<Outcome, BadInput> {
-    if !options.sim.is_empty() {
-        // Refused rather than ignored: a comparison of two sets of recordings is not built yet.
-        return Err(BadInput::new(
-            "sim: found recordings of a simulator; expected none, this comparison is not available",
-        ));
-    }
     progress(0.0, "conditioning the recordings");
-    let mut scene = Scene::new(&options.robot, options.urdf.as_deref(), &options.recordings, &options.conditioning)?;
+    check::recordings(&options.robot, &options.recordings)?;
+    if !options.sim.is_empty() {
+        check::recordings(&options.robot, &options.sim).map_err(simulators)?;
+    }
     let families = families::all();
-    let unusable = || BadInput::new("recordings: the regression is singular; expected recordings with more motion");
+    let how = &options.conditioning;
+    let urdf = options.urdf.as_deref();
+    let (train, test) = how.split.cut(&options.recordings, &how.start_s)?;
+    let how = |set: &Set| Conditioning { start_s: set.start_s.clone(), folds: set.folds.clone(), ..how.clone() };
+    let mut scene = Scene::new(&options.robot, urdf, &train.recordings, &how(&train))?;
+    let simulator = match options.sim.is_empty() {
+        true => None,
+        false => {
+            progress(0.0, "what the simulator contains");
+            Some(Simulator::fit(options, &families, calibration, &mut |share, words| progress(0.4 * share, words))?)
+        }
+    };
+    let difference = simulator.as_ref().and_then(|s| s.difference(&scene));
+    let known = simulator.as_ref().map(|s| s.take_from(&mut scene, &families));
+    let from = if simulator.is_some() { 0.4 } else { 0.0 };
+    let progress = &mut |share: f64, words: &str| progress(from + (1.0 - from) * share, words);
+    let found = find(&mut scene, (&families, calibration), known.as_ref(), progress)?;
+    let test_scene = match test.recordings.is_empty() {
+        true => None,
+        false => {
+            let how = Conditioning { band_hz: Some(scene.band_hz), ..how(&test) };
+            let mut there = Scene::new(&options.robot, urdf, &test.recordings, &how)
+                .map_err(|e| BadInput { what: format!("test: {}", e.what), ..e })?;
+            there.count_above(&scene.slow_rad_s);
+            let known = simulator.as_ref().map(|s| s.take_from(&mut there, &families));
+            transfer::blank(&mut there, &families, &found.limits, found.fitted());
+            let known = known.map(|raw| there.column(raw));
+            Some((there, known))
+        }
+    };
+    let known = known.map(|raw| scene.column(raw));
+    let search = found.search(&scene, &families);
+    let split = options.conditioning.split.name(options.recordings.len());
+    let material = report::Material {
+        scene: &scene,
+        base: &found.base,
+        search: &search,
+        selection: &found.selection,
+        calibration,
+        seed: options.seed,
+        known: known.as_ref(),
+        test: test_scene.as_ref().map(|(scene, known)| report::Judged { scene, known: known.as_ref() }),
+        simulator: simulator.as_ref(),
+        split: &split,
+    };
+    let mut outcome = report::outcome(&material, progress).ok_or_else(unusable)?;
+    outcome.evidence.train = train.stretches();
+    outcome.evidence.test = test.stretches();
+    if let Some(simulator) = &simulator {
+        let unit = options.robot.torque_unit.symbol();
+        outcome.evidence.simulator = simulator.words(difference.as_ref(), unit);
+    }
+    Ok(outcome)
+}
+
+/// The same error, said of the simulator's recordings.
+pub(crate) fn simulators(e: BadInput) -> BadInput {
+    BadInput { what: format!("simulator: {}", e.what), ..e }
+}
+
+fn unusable() -> BadInput {
+    BadInput::new("recordings: the regression is singular; expected recordings with more motion")
+}
+
+/// What the search ended with.
+pub(crate) struct Found {
+    base: Base,
+    limits: Limits,
+    base_rms_nm: Option<Vec<f64>>,
+    selection: Selection,
+}
+
+impl Found {
+    /// The search again, as it ended.
+    fn search<'a>(&self, scene: &'a Scene, families: &'a [Family]) -> Search<'a> {
+        let search = Search::new(scene, families, self.base.target.clone(), self.limits.clone());
+        if let Some(rms) = &self.base_rms_nm {
+            // It is new: nothing is set yet.
+            let _ = search.base_rms_nm.set(rms.clone());
+        }
+        search
+    }
+
+    fn fitted(&self) -> Fitted<'_> {
+        Fitted { base: &self.base, model: &self.selection.model, state: &self.selection.state }
+    }
+}
+
+/// Searches for what is missing. `known` is what a simulator was taken to explain of the torque already.
+pub(crate) fn find(
+    scene: &mut Scene,
+    (families, calibration): (&[Family], &Calibration),
+    known: Option<&Raw>,
+    progress: &mut dyn FnMut(f64, &str),
+) -> Result<Found, BadInput> {
     let mut seeds: Vec<Seed> = Vec::new();
     // What is found may say that some stretches must not count; then the search is run again without them.
     for last in [false, false, true] {
         progress(0.1, "fitting the base");
-        let base = choose_base(&scene);
-        let noise_nm = report::noise_floor(&scene);
-        let floor_nm = floor(&scene, &base, &noise_nm);
+        let base = choose_base(scene);
+        let noise_nm = report::noise_floor(scene);
+        let mut torque = base.torque.clone();
+        if let Some(known) = known {
+            search::subtract(&mut torque, &scene.column(known.clone()), -1.0);
+        }
+        let floor_nm = floor(scene, &torque, &noise_nm);
         let limits = Limits {
             entry: families.iter().map(|f| calibration.entry_of(&f.key())).collect(),
             column: 6.0,
@@ -110,18 +223,11 @@ pub fn diagnose_with(
             noise_nm,
             most: 10,
         };
-        let search = Search::new(&scene, &families, base.target.clone(), limits);
+        let search = Search::new(scene, families, base.target.clone(), limits.clone());
         let selection = search.select(&base, &seeds, progress).ok_or_else(unusable)?;
         if selection.blank.is_empty() || last {
-            let material = report::Material {
-                scene: &scene,
-                base: &base,
-                search: &search,
-                selection: &selection,
-                calibration,
-                seed: options.seed,
-            };
-            return report::outcome(&material, progress).ok_or_else(unusable);
+            let base_rms_nm = search.base_rms_nm.get().cloned();
+            return Ok(Found { base, limits, base_rms_nm, selection });
         }
         seeds = selection
             .model
@@ -132,7 +238,6 @@ pub fn diagnose_with(
             .collect();
         let blank = selection.blank.clone();
         progress(0.1, &format!("again without {} stretches", blank.len()));
-        drop(selection);
         drop(search);
         scene.blank(&blank);
     }
@@ -154,11 +259,11 @@ fn choose_base(scene: &Scene) -> Base {
 
 /// Smallest torque that counts as a finding, per joint [Nm]: a share of the noise in the band and of the
 /// torque's size.
-fn floor(scene: &Scene, base: &Base, noise: &[f64]) -> Vec<f64> {
+fn floor(scene: &Scene, torque: &Column, noise: &[f64]) -> Vec<f64> {
     (0..scene.joints)
         .map(|j| {
             let count = scene.mask[j].iter().filter(|m| **m).count().max(1) as f64;
-            let size = (base.torque.part[j].iter().map(|v| v * v).sum::<f64>() / count).sqrt();
+            let size = (torque.part[j].iter().map(|v| v * v).sum::<f64>() / count).sqrt();
             (0.4 * noise[j]).max(0.0015 * size)
         })
         .collect()

@@ -2,22 +2,28 @@
 
 use crate::Outcome;
 use crate::base::Base;
-use crate::calibration::{Calibration, Evidence, MOST_MARGIN};
+use crate::calibration::{self, Calibration, MOST_MARGIN};
 use crate::context::context;
+use crate::evidence::Evidence;
 use crate::families::Context;
 use crate::findings::*;
-use crate::gram::Fit;
+use crate::forward::forward;
+use crate::held::{Blocks, Squares, left_out};
 use crate::intervals::parameters;
 use crate::model::{Atom, Model};
 use crate::model_file::model_file;
-use crate::scene::Scene;
+use crate::proof::{Bare, Proof};
+use crate::region;
+use crate::rival;
+use crate::scene::{Column, Scene};
 use crate::search::Search;
 use crate::select::Selection;
+use crate::sim::Simulator;
 use crate::unknown::Explained;
-use crate::words;
+use crate::words::Words;
 use lacuna_estimation::filter::noise_sd;
 use lacuna_estimation::stats;
-use rand::{RngExt, SeedableRng};
+use lacuna_interfaces::Repair;
 
 /// What the torque's white noise leaves in the band, per joint [Nm].
 pub fn noise_floor(scene: &Scene) -> Vec<f64> {
@@ -45,26 +51,23 @@ pub struct Material<'a> {
     pub calibration: &'a Calibration,
     /// Seed of the bootstrap.
     pub seed: u64,
+    /// Torque that a simulator's model was taken to explain already, at the rows.
+    pub known: Option<&'a Column>,
+    /// Test stretches, if there are any.
+    pub test: Option<Judged<'a>>,
+    /// What the recordings are compared with, if it is a simulator.
+    pub simulator: Option<&'a Simulator>,
+    /// How rows are held out.
+    pub split: &'a str,
 }
 
-/// Size of the torque per joint [Nm].
-fn torque_rms(m: &Material<'_>) -> Vec<f64> {
-    (0..m.scene.joints)
-        .map(|j| {
-            let count = m.search.layout.joint_count(j).max(1.0);
-            (m.base.torque.part[j].iter().map(|v| v * v).sum::<f64>() / count).sqrt()
-        })
-        .collect()
-}
-
-fn rms(search: &Search<'_>, fit: &Fit) -> Vec<f64> {
-    (0..search.layout.joints).map(|j| (fit.held_out_joint(j) / search.layout.joint_count(j).max(1.0)).sqrt()).collect()
-}
-
-/// Norm of residuals over torques, each joint by its own torque.
-fn relative(residual: &[f64], size: &[f64]) -> f64 {
-    let share: f64 = residual.iter().zip(size).map(|(r, s)| (r / s.max(1e-12)).powi(2)).sum();
-    (share / residual.len().max(1) as f64).sqrt()
+/// Rows that judge the model.
+#[derive(Clone, Copy)]
+pub struct Judged<'a> {
+    /// The rows.
+    pub scene: &'a Scene,
+    /// As [`Material::known`].
+    pub known: Option<&'a Column>,
 }
 
 /// Everything `diagnose` returns.
@@ -74,56 +77,113 @@ pub fn outcome(m: &Material<'_>, progress: &mut dyn FnMut(f64, &str)) -> Option<
     let mut empty = Model::new(&m.base.columns);
     let before = search.fit(&mut empty)?;
     let ctx = context(scene, m.base, search, &selection.model, Some(&selection.state));
-    let (before_rms, after_rms) = (rms(search, &before.fit), rms(search, &selection.state.fit));
-    let size = torque_rms(m);
     let noise = &search.limits.noise_nm;
     progress(0.85, "holding the model against a black box");
-    let base_residual = search.residual(&empty, &before);
-    let base_box = search.black_box(&ctx, &base_residual);
+    // A simulator is compared as it is, without a friction of its own fitted to it.
+    let bare = m.simulator.is_none().then_some(Bare { model: &empty, state: &before });
+    let proof = Proof::new(m, &ctx, bare);
+    let base_residual = bare.map_or_else(|| m.base.target.clone(), |b| search.residual(b.model, b.state));
     let rest_box = search.black_box(&ctx, &search.residual(&selection.model, &selection.state));
     progress(0.93, "locating and writing");
-    let mut proof = Vec::new();
-    let mut findings = named(m, &ctx, &mut proof)?;
-    let (unknown, unknown_finding) = unknown(m, &ctx, &rest_box, &before_rms);
+    let mut weighed = Vec::new();
+    let mut findings = named(m, &ctx, &proof, &mut weighed)?;
+    if m.simulator.is_some() {
+        findings.extend(crate::sim::friction(m, &proof)?);
+    }
+    let fitted_rms: Vec<f64> =
+        (0..n).map(|j| (before.fit.held_out_joint(j) / search.layout.joint_count(j).max(1.0)).sqrt()).collect();
+    let (unknown, unknown_finding) = unknown(m, &ctx, &rest_box, &fitted_rms);
     findings.extend(unknown_finding);
     findings.sort_by(|a, b| gain(b).total_cmp(&gain(a)));
-    let excess: Vec<f64> =
-        (0..n).map(|j| (before_rms[j].powi(2) - noise[j].powi(2)).max(0.0) * search.layout.joint_count(j)).collect();
     let detected = !findings.is_empty();
-    let black: Vec<f64> =
-        (0..n).map(|j| (base_box.after[j] / search.layout.joint_count(j).max(1.0)).sqrt().min(before_rms[j])).collect();
     let total_gain = search.compare(&selection.state, &before.fit, &selection.state.fit, Vec::new()).gain;
+    let held = held_out(m, &proof);
+    let excess: Vec<f64> = (0..n)
+        .map(|j| {
+            let before = if m.simulator.is_some() { held.before_rms_nm[j] } else { fitted_rms[j] };
+            (before.powi(2) - noise[j].powi(2)).max(0.0) * search.layout.joint_count(j)
+        })
+        .collect();
+    let mut recordings: Vec<String> = Vec::new();
+    for name in scene.names.iter().chain(m.test.iter().flat_map(|t| &t.scene.names)) {
+        if !recordings.contains(name) {
+            recordings.push(name.clone());
+        }
+    }
     let mut out = Findings {
         schema: SCHEMA.into(),
         robot: scene.robot.name.clone(),
-        recordings: scene.names.clone(),
+        recordings,
         joints: scene.robot.joints.clone(),
         baseline: Baseline {
-            rms_nm: before_rms.clone(),
-            relative_error: relative(&before_rms, &size),
+            rms_nm: held.before_rms_nm.clone(),
+            relative_error: held.relative_before,
             noise_floor_nm: noise.clone(),
         },
         mismatch: Mismatch {
             detected,
-            significance: if detected { (-total_gain.clamp(0.0, 600.0)).exp() } else { 1.0 },
+            // Evidence beyond that is not evidence of the noise any more, but of the model of the noise.
+            significance: if detected { (-total_gain).exp().clamp(1e-9, 1.0) } else { 1.0 },
             r#where: if detected { search.locate(&ctx, &base_residual, &excess, &findings) } else { Vec::new() },
         },
-        held_out: HeldOut {
-            relative_before: relative(&before_rms, &size),
-            relative_after: relative(&after_rms, &size),
-            black_box_relative: relative(&black, &size),
-            before_rms_nm: before_rms,
-            after_rms_nm: after_rms.clone(),
-        },
+        held_out: held,
         unknown,
         excluded: excluded(m),
-        repairs: scene.repairs.clone(),
+        repairs: repairs(m),
         next_experiment: next_experiment(&findings),
         verdict: String::new(),
         findings,
     };
-    out.verdict = words::verdict(&out);
-    Some(Outcome { findings: out, model: model_file(m, &ctx, after_rms), proof, nulls: m.search.nulls(m.selection) })
+    let words = Words { unit: scene.robot.torque_unit.symbol(), split: m.split, against: m.simulator.is_some() };
+    for finding in out.findings.iter_mut().filter(|f| f.sentence.is_empty()) {
+        finding.sentence = words.sentence(finding);
+    }
+    out.verdict = words.verdict(&out);
+    let mut model = model_file(m, &ctx, out.held_out.after_rms_nm.clone());
+    if let Some(simulator) = m.simulator {
+        model = simulator.with(&model, scene);
+    }
+    let mut evidence = Evidence::new(m, &ctx, &proof, &out);
+    if detected {
+        evidence.forward = forward(m, &proof, bare);
+    }
+    Some(Outcome { findings: out, model, proof: weighed, nulls: m.search.nulls(m.selection), evidence })
+}
+
+/// Held-out errors with their intervals.
+fn held_out(m: &Material<'_>, proof: &Proof<'_>) -> HeldOut {
+    let (before, after) = (proof.squares(&proof.before), proof.squares(&proof.after));
+    let (rival, torque) = (proof.squares(&proof.rival), proof.squares(&proof.torque));
+    let blocks = &proof.blocks;
+    let (before_rms, after_rms) = (blocks.rms_each(&before), blocks.rms_each(&after));
+    let (rival_rms, size) = (blocks.rms_each(&rival), blocks.rms_each(&torque));
+    let each =
+        |s: &Squares| -> Vec<[f64; 2]> { (0..m.scene.joints).map(|j| blocks.interval(&[s], |r| r[0][j])).collect() };
+    let relative = |residual: &[f64], size: &[f64]| proof.relative(residual, size);
+    HeldOut {
+        relative_before: relative(&before_rms, &size),
+        relative_after: relative(&after_rms, &size),
+        black_box_relative: relative(&rival_rms, &size),
+        before_ci95_nm: each(&before),
+        after_ci95_nm: each(&after),
+        relative_after_ci95: blocks.interval(&[&after, &torque], |r| relative(&r[0], &r[1])),
+        black_box_rms_nm: rival_rms,
+        split: m.split.to_owned(),
+        before_rms_nm: before_rms,
+        after_rms_nm: after_rms,
+    }
+}
+
+/// What was repaired, the stretches of one file together.
+fn repairs(m: &Material<'_>) -> Vec<Repair> {
+    let mut out: Vec<Repair> = Vec::new();
+    for repair in m.scene.repairs.iter().chain(m.test.iter().flat_map(|t| &t.scene.repairs)) {
+        match out.iter_mut().find(|r| r.file == repair.file && r.kind == repair.kind && r.signal == repair.signal) {
+            Some(same) => same.count += repair.count,
+            None => out.push(repair.clone()),
+        }
+    }
+    out
 }
 
 /// Held-out power that a finding removes.
@@ -132,7 +192,12 @@ fn gain(f: &Finding) -> f64 {
 }
 
 /// Findings of the terms in the model, one per effect.
-fn named(m: &Material<'_>, ctx: &Context<'_>, proof: &mut Vec<(&'static str, Evidence)>) -> Option<Vec<Finding>> {
+fn named(
+    m: &Material<'_>,
+    ctx: &Context<'_>,
+    proof: &Proof<'_>,
+    weighed: &mut Vec<(&'static str, calibration::Evidence)>,
+) -> Option<Vec<Finding>> {
     let model = &m.selection.model;
     let mut out = Vec::new();
     let mut done: Vec<&str> = Vec::new();
@@ -149,16 +214,21 @@ fn named(m: &Material<'_>, ctx: &Context<'_>, proof: &mut Vec<(&'static str, Evi
         joints.dedup();
         let names: Vec<String> = joints.iter().map(|j| m.scene.robot.joints[*j].clone()).collect();
         let where_: Vec<usize> = if joints.is_empty() { (0..m.scene.joints).collect() } else { joints };
-        let without = m.search.fit_without(model, &m.selection.state, &all)?;
-        let held_out = reduction(m, &without, &where_);
+        let (left, without) = proof.without(m, &all)?;
+        let held_out = proof.reduction(&left, &proof.after, &where_);
         let nats = m.search.compare(&m.selection.state, &without, &m.selection.state.fit, Vec::new()).gain;
         let group: Vec<String> = family.group().iter().map(|s| (*s).to_owned()).collect();
-        let evidence = evidence(m, family.id(), nats, &where_, &group);
+        let evidence = weigh(m, family.id(), nats, &where_, &group);
         let rivals = m.selection.rivals.iter().find(|r| r.effect == family.id());
         let (probability, alternatives) = m.calibration.probability(&evidence, rivals, &group);
-        proof.push((family.id(), evidence));
-        let parameters = all.iter().flat_map(|i| parameters(m, ctx, *i, names.len() > 1)).collect();
-        let mut finding = Finding {
+        weighed.push((family.id(), evidence));
+        let parameters: Vec<Parameter> = all.iter().flat_map(|i| parameters(m, ctx, *i, names.len() > 1)).collect();
+        let region = region::of(family.id(), &parameters);
+        let in_region = region.as_ref().and_then(|r| region::reduction(proof, r, &left, &where_));
+        // A few rows that happen to lie there do not speak for the effect.
+        let in_region = in_region.filter(|r| r.reduction > 0.5 * held_out.reduction);
+        let region = region.filter(|_| in_region.is_some());
+        out.push(Finding {
             effect: family.id().to_owned(),
             joints: names,
             probability,
@@ -169,47 +239,25 @@ fn named(m: &Material<'_>, ctx: &Context<'_>, proof: &mut Vec<(&'static str, Evi
             sentence: String::new(),
             parameters,
             held_out,
+            region: region.into_iter().collect(),
+            in_region,
             stage: family.effect.stage.as_str().to_owned(),
             intervals_s: all.iter().flat_map(|i| intervals(m, &model.atoms[*i])).collect(),
-        };
-        finding.sentence = words::sentence(&finding, m.scene.robot.torque_unit.symbol());
-        out.push(finding);
+        });
     }
     Some(out)
 }
 
 /// What speaks for an effect: what is lost without it, its lead, and what the model leaves at its joints.
-fn evidence(m: &Material<'_>, id: &str, nats: f64, joints: &[usize], group: &[String]) -> Evidence {
+fn weigh(m: &Material<'_>, id: &str, nats: f64, joints: &[usize], group: &[String]) -> calibration::Evidence {
     let rivals = m.selection.rivals.iter().find(|r| r.effect == id);
     let best = rivals
         .into_iter()
         .flat_map(|r| r.others.iter().filter(|o| !group.iter().any(|g| g == o.0)).map(|o| r.merit - o.1))
         .fold(10.0 * MOST_MARGIN, f64::min);
-    let left = rms(m.search, &m.selection.state.fit);
+    let left = m.search.held_out_rms(&m.selection.state);
     let over = |j: &usize| left[*j] / m.search.limits.noise_nm[*j].max(1e-30);
-    Evidence { nats, margin: best, left: joints.iter().map(over).fold(1.0, f64::max) }
-}
-
-/// Held-out residual with and without some terms at `joints`, its interval by bootstrap over folds.
-fn reduction(m: &Material<'_>, without: &Fit, joints: &[usize]) -> Reduction {
-    let with = &m.selection.state.fit;
-    let pick = |fit: &Fit| -> Vec<f64> { fit.held_out.iter().map(|f| joints.iter().map(|j| f[*j]).sum()).collect() };
-    let (a, b) = (pick(with), pick(without));
-    let count: f64 = joints.iter().map(|j| m.search.layout.joint_count(*j)).sum::<f64>().max(1.0);
-    let share = |rows: &[usize]| {
-        let (x, y): (f64, f64) = rows.iter().fold((0.0, 0.0), |s, r| (s.0 + a[*r], s.1 + b[*r]));
-        1.0 - (x / y.max(1e-30)).sqrt()
-    };
-    let all: Vec<usize> = (0..a.len()).collect();
-    let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(m.seed);
-    let mut draws: Vec<f64> =
-        (0..400).map(|_| share(&(0..a.len()).map(|_| random.random_range(0..a.len())).collect::<Vec<_>>())).collect();
-    Reduction {
-        before_rms_nm: (b.iter().sum::<f64>() / count).sqrt(),
-        after_rms_nm: (a.iter().sum::<f64>() / count).sqrt(),
-        reduction: share(&all),
-        ci95: [stats::quantile_in_place(&mut draws, 0.025), stats::quantile_in_place(&mut draws, 0.975)],
-    }
+    calibration::Evidence { nats, margin: best, left: joints.iter().map(over).fold(1.0, f64::max) }
 }
 
 /// Times in which a term acts, per file.
@@ -224,8 +272,8 @@ fn intervals(m: &Material<'_>, atom: &Atom) -> Vec<(String, f64, f64)> {
         m.scene
             .pieces
             .iter()
-            .rev()
-            .find(|p| t >= p.global_s - 0.1)
+            .filter(|p| t >= p.global_s - 0.1)
+            .max_by(|a, b| a.global_s.total_cmp(&b.global_s))
             .map(|p| (m.scene.names[p.recording].clone(), p.global_s - p.t0_s))
     };
     times.into_iter().filter_map(|(a, b)| file(a).map(|(name, zero)| (name, a - zero, b - zero))).collect()
@@ -289,11 +337,13 @@ fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[
         intervals_s: Vec::new(),
         rms_nm: size,
     };
-    let before = (rest.before[worst] / count(worst)).sqrt();
-    let after = (rest.after[worst].min(rest.before[worst]) / count(worst)).sqrt();
-    let region = found
-        .as_ref()
-        .map_or_else(String::new, |f| format!(", mostly at {} {:.3} to {:.3}", f.2.variable, f.2.low, f.2.high));
+    // How much of it a black box predicts, on every fold from the others.
+    let state = &m.selection.state;
+    let columns = m.selection.model.columns();
+    let blocks = Blocks::new(m.scene, m.seed);
+    let left = blocks.squares(&left_out(&m.search.layout.folds, &state.target, &columns, &state.fit));
+    let boxed = blocks.squares(&rival::in_turn(m.search, ctx, &state.target, &columns, &state.fit));
+    let (reduction, ci95) = blocks.reduction(&left, &boxed, &[worst]);
     let finding = Finding {
         effect: "unknown".into(),
         joints: vec![joint.clone()],
@@ -302,18 +352,16 @@ fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[
         alternatives: Vec::new(),
         group: Vec::new(),
         equation: String::new(),
-        sentence: format!(
-            "Joint {joint} has a torque of {size:.3} {} that no effect of the catalogue explains{region}; {} on recordings it was not fitted to.",
-            m.scene.robot.torque_unit.symbol(),
-            if by_box { "a black box predicts it" } else { "a black box does not predict it either" }
-        ),
+        sentence: String::new(),
         parameters: Vec::new(),
         held_out: Reduction {
-            before_rms_nm: before,
-            after_rms_nm: after,
-            reduction: 1.0 - after / before.max(1e-30),
-            ci95: [0.0, 1.0],
+            before_rms_nm: blocks.rms(&left, &[worst]),
+            after_rms_nm: blocks.rms(&boxed, &[worst]),
+            reduction,
+            ci95,
         },
+        region: found.iter().map(|f| f.2.clone()).collect(),
+        in_region: None,
         stage: "friction".into(),
         intervals_s: Vec::new(),
     };

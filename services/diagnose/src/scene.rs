@@ -10,6 +10,7 @@
 //! | row | one sample after the filter, at the row rate | |
 //! | fold | rows left out together; at least [`MIN_FOLDS`] | |
 
+use crate::split::Split;
 use lacuna_estimation::filter::{
     Interpolation, SpikeRule, Stencil, ZeroPhase, differentiate, noise_sd, regular_grid, remove_spikes, resample,
     segments,
@@ -121,6 +122,10 @@ pub struct Conditioning {
     pub moving_rad_s: Option<f64>,
     /// Time at which each recording starts since the robot was switched on [s].
     pub start_s: Vec<f64>,
+    /// What trains and what tests.
+    pub split: Split,
+    /// Number of the fold of each recording, rising from 0; empty: chosen from the recordings.
+    pub folds: Vec<usize>,
 }
 
 impl Scene {
@@ -195,7 +200,7 @@ impl Scene {
             repairs,
             filter,
         };
-        scene.folds = scene.make_folds(recordings.len());
+        scene.folds = scene.make_folds(recordings.len(), &how.folds);
         scene.slow_rad_s = (0..joints).map(|j| how.moving_rad_s.unwrap_or_else(|| scene.slow_speed(j))).collect();
         scene.mask = (0..joints).map(|j| scene.moving(j)).collect();
         for j in 0..joints {
@@ -214,8 +219,13 @@ impl Scene {
         self.rate_hz / self.stride as f64
     }
 
-    /// Whole recordings as folds; too few of them are cut.
-    fn make_folds(&self, recordings: usize) -> Vec<Range<usize>> {
+    /// Recordings of one number as a fold; without numbers whole recordings, too few of them cut.
+    fn make_folds(&self, recordings: usize, numbers: &[usize]) -> Vec<Range<usize>> {
+        if numbers.len() == recordings && !numbers.is_empty() {
+            let own = |n: usize| self.pieces.iter().filter(move |p| numbers.get(p.recording) == Some(&n));
+            let ends = |n: usize| Some(own(n).next()?.rows.start..own(n).next_back()?.rows.end);
+            return (0..=numbers.iter().copied().max().unwrap_or(0)).filter_map(ends).collect();
+        }
         let mut whole: Vec<Range<usize>> = Vec::new();
         for r in 0..recordings {
             let mut own = self.pieces.iter().filter(|p| p.recording == r);
@@ -266,6 +276,12 @@ impl Scene {
             }
         }
         mask
+    }
+
+    /// Rows count above these speeds from now on [rad/s].
+    pub fn count_above(&mut self, slow_rad_s: &[f64]) {
+        self.slow_rad_s = slow_rad_s.to_vec();
+        self.mask = (0..self.joints).map(|j| self.moving(j)).collect();
     }
 
     /// Low-passes a full-rate signal as torques and regressors are; false if it cannot be.

@@ -1,10 +1,12 @@
 //! `lacuna diagnose`: which physics does the model leave out?
 
+use crate::chosen::Chosen;
 use crate::progress::Progress;
 use crate::{CommandResult, diagnose_report, words};
 use clap::Args;
 use lacuna_diagnose::findings::Finding;
-use lacuna_diagnose::{Conditioning, Findings, Options};
+use lacuna_diagnose::{Conditioning, Options, Outcome};
+use lacuna_interfaces::{BadInput, Recording};
 use lacuna_report::number::{percent, significant};
 use lacuna_simulate::Manifest;
 use lacuna_stage::Failure;
@@ -21,8 +23,20 @@ pub struct DiagnoseArgs {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Recordings of the robot (CSV, MCAP or ROS 2 bag). A manifest.json beside them tells when each began.
-    #[arg(value_name = "RECORDING", required = true)]
+    #[arg(value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
+    /// Recordings of your own simulator: what does it leave out? Best with the robot's motions, in the same order.
+    #[arg(long, num_args = 1.., value_name = "RECORDING")]
+    sim: Vec<PathBuf>,
+    /// Recordings, or parts of them in seconds, to choose and fit the model on: FILE, FILE@from:to.
+    #[arg(long, num_args = 1.., value_name = "FILE[@from:to]")]
+    train: Vec<String>,
+    /// Recordings, or parts of them, to judge it on.
+    #[arg(long, num_args = 1.., value_name = "FILE[@from:to]")]
+    test: Vec<String>,
+    /// How to hold out: recordings, halves or kfold=N. Default: by recording; parts of time for fewer than five.
+    #[arg(long, value_name = "HOW")]
+    holdout: Option<String>,
     /// Seed of everything drawn.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -42,19 +56,28 @@ pub fn diagnose(args: &DiagnoseArgs) -> CommandResult {
     words::folder_for(&args.out)?;
     let band_hz = args.band.map(|b| words::positive("--band", b)).transpose()?;
     let moving_rad_s = args.moving.map(|v| words::not_negative("--moving", v)).transpose()?;
+    let chosen = Chosen::of(&args.recordings, &args.train, &args.test, args.holdout.as_deref())?;
     let progress = Progress::bar();
     progress.step("reading");
     let robot = lacuna_recording::load_robot(&args.robot)?;
-    let recordings = args.recordings.iter().map(|path| lacuna_recording::read_all(path, &robot.file));
-    let recordings = recordings.collect::<Result<Vec<_>, _>>()?;
-    let start_s = start_times(&args.recordings);
+    let read = |paths: &[PathBuf]| -> Result<Vec<Recording>, BadInput> {
+        paths.iter().map(|path| lacuna_recording::read_all(path, &robot.file)).collect()
+    };
+    let (recordings, sim) = (read(&chosen.paths)?, read(&args.sim)?);
+    let start_s = start_times(&chosen.paths);
     let started = start_s.is_some();
     let options = Options {
         robot: robot.file,
         urdf: robot.urdf,
         recordings,
-        sim: Vec::new(),
-        conditioning: Conditioning { band_hz, moving_rad_s, start_s: start_s.unwrap_or_default() },
+        sim,
+        conditioning: Conditioning {
+            band_hz,
+            moving_rad_s,
+            start_s: start_s.unwrap_or_default(),
+            split: chosen.split,
+            ..Conditioning::default()
+        },
         seed: args.seed,
     };
     let outcome = lacuna_diagnose::diagnose(&options, &mut |share, words| progress.at(share, words))?;
@@ -67,12 +90,12 @@ pub fn diagnose(args: &DiagnoseArgs) -> CommandResult {
         words::print_json(&outcome.findings)?;
     } else {
         let files = words::files(&args.out, &["findings.json", "model.toml", "report.html"]);
-        words::say(&(summary(&outcome.findings, options.robot.torque_unit.symbol()) + &files))?;
+        words::say(&(summary(&outcome, options.robot.torque_unit.symbol()) + &files))?;
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn write(outcome: &lacuna_diagnose::Outcome, out: &Path) -> Result<(), Failure> {
+fn write(outcome: &Outcome, out: &Path) -> Result<(), Failure> {
     let text =
         serde_json::to_string_pretty(&outcome.findings).map_err(|e| Failure::run(format!("findings.json: {e}")))?;
     words::write(&out.join("findings.json"), (text + "\n").as_bytes())?;
@@ -92,28 +115,38 @@ fn start_times(paths: &[PathBuf]) -> Option<Vec<f64>> {
 }
 
 /// The verdict first, then what stands behind it.
-fn summary(findings: &Findings, unit: &str) -> String {
+fn summary(outcome: &Outcome, unit: &str) -> String {
+    let findings = &outcome.findings;
     let mut text = format!("{}\n", findings.verdict);
     if !findings.findings.is_empty() {
         text.push('\n');
     }
+    // Writing to a String cannot fail.
     for finding in &findings.findings {
-        // Writing to a String cannot fail.
         let _ = writeln!(text, "  {}", line(finding, unit));
     }
     let held = &findings.held_out;
-    let _ = write!(text, "\nTorque error, held out: {}", percent(held.relative_before));
-    if !findings.findings.is_empty() {
-        let _ = write!(text, " before, {} after", percent(held.relative_after));
+    let _ = write!(text, "\nTorque error, held out ({}): ", words::split(&held.split));
+    if findings.findings.is_empty() {
+        let _ = write!(text, "{}", percent(held.relative_after));
+    } else {
+        let _ = write!(text, "{} before, {} after", percent(held.relative_before), percent(held.relative_after));
+    }
+    let [low, high] = held.relative_after_ci95;
+    if low < high {
+        let _ = write!(text, " (95 % interval {} to {})", percent(low), percent(high));
     }
     if held.black_box_relative.is_finite() {
         let _ = write!(text, "; a black box on the same data {}", percent(held.black_box_relative));
     }
     text.push_str(".\n");
+    for (label, words) in &outcome.evidence.simulator {
+        let _ = writeln!(text, "{label}: {words}.");
+    }
     if let Some(next) = &findings.next_experiment {
         let _ = writeln!(text, "Next experiment: {}", next.words);
     }
-    text + &words::repairs(&findings.repairs)
+    text + &words::warnings(&outcome.evidence.warnings) + &words::repairs(&findings.repairs)
 }
 
 fn line(finding: &Finding, unit: &str) -> String {
@@ -126,7 +159,7 @@ fn line(finding: &Finding, unit: &str) -> String {
     let gain = &finding.held_out;
     let _ = write!(
         text,
-        "; {} to {} {unit} on recordings it had not seen",
+        "; {} to {} {unit}, held out",
         significant(gain.before_rms_nm, 3),
         significant(gain.after_rms_nm, 3)
     );

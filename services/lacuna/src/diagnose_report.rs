@@ -1,36 +1,51 @@
 //! From findings to their report: names and figures are carried over, nothing is computed anew.
 
 use crate::{identify_report, words};
+use lacuna_diagnose::evidence::Trace;
 use lacuna_diagnose::findings::{Finding, Map, Parameter, Reduction, Region, Where};
+use lacuna_diagnose::forward::HORIZON_S;
 use lacuna_diagnose::{Findings, Options, Outcome};
 use lacuna_physics::effects;
+use lacuna_report::number::significant;
 use lacuna_report::{
-    BeforeAfterRow, DiagnosisReportData, Excluded, Gain, HeatMap, Located, NextExperiment, ParameterRow, Setup,
-    Stretch, TimeInterval, Unknown,
+    BeforeAfterRow, DiagnosisReportData, Excluded, ForwardRow, Gain, HeatMap, JointTrace, Located, NamedSeries,
+    NextExperiment, ParameterRow, Setup, Stretch, TimeInterval, TorqueTrace, Unknown,
 };
 
 /// The report's data. `started` says whether the start times of the recordings were known.
 pub fn data(outcome: &Outcome, options: &Options, started: bool) -> DiagnosisReportData {
-    let f = &outcome.findings;
+    let (f, evidence) = (&outcome.findings, &outcome.evidence);
     let unit = options.robot.torque_unit.symbol();
+    let [low, high] = f.held_out.relative_after_ci95;
     DiagnosisReportData {
         robot: f.robot.clone(),
         torque_unit: unit.to_owned(),
         verdict: f.verdict.clone(),
         detected: f.mismatch.detected,
         significance: number(f.mismatch.significance),
-        setup: setup(options, started),
+        setup: setup(outcome, options, started),
         located: f.mismatch.r#where.iter().map(located).collect(),
         findings: f.findings.iter().map(finding).collect(),
         held_out: held_out(f),
+        held_out_words: match f.held_out.split.as_str() {
+            "files" => "on test data used neither to choose nor to fit".to_owned(),
+            _ => "every fold predicted by a fit to the others".to_owned(),
+        },
         relative_before: number(f.held_out.relative_before),
         relative_after: number(f.held_out.relative_after),
-        relative_after_ci95: None,
+        relative_after_ci95: (low < high).then_some((low, high)),
         black_box_relative: number(f.held_out.black_box_relative),
-        black_box: String::new(),
-        noise_relative: None,
-        forward: Vec::new(),
-        traces: Vec::new(),
+        black_box: evidence.black_box.clone(),
+        noise_relative: number(evidence.noise_relative),
+        forward: forward(outcome),
+        forward_words: evidence.forward.as_ref().map_or_else(String::new, |f| {
+            format!(
+                "How far the position is off after {} s that begin at the recorded state and are driven by the recorded torque; {} windows in which all joints move, to first order in the deviation.",
+                significant(HORIZON_S, 2),
+                f.windows
+            )
+        }),
+        traces: evidence.traces.iter().map(|t| trace(t, &f.joints)).collect(),
         unknown: unknown(f, unit),
         excluded: f.excluded.iter().map(|e| Excluded { effect: e.effect.clone(), reason: e.reason.clone() }).collect(),
         next_experiment: f.next_experiment.as_ref().map(|n| NextExperiment {
@@ -38,8 +53,33 @@ pub fn data(outcome: &Outcome, options: &Options, started: bool) -> DiagnosisRep
             separates: n.separate.clone(),
             ..NextExperiment::default()
         }),
-        warnings: Vec::new(),
+        warnings: evidence.warnings.clone(),
         repairs: identify_report::repairs(&f.repairs),
+    }
+}
+
+fn forward(outcome: &Outcome) -> Vec<ForwardRow> {
+    let Some(f) = &outcome.evidence.forward else { return Vec::new() };
+    let row =
+        |((joint, off), on): ((&String, &f64), &f64)| ForwardRow { joint: joint.clone(), off_rad: *off, on_rad: *on };
+    outcome.findings.joints.iter().zip(&f.off_rad).zip(&f.on_rad).map(row).collect()
+}
+
+/// Torques of one stretch: the models from before to after, the black box beside them.
+fn trace(t: &Trace, joints: &[String]) -> TorqueTrace {
+    let series = |name: &str, values: &[f64]| NamedSeries { name: name.to_owned(), values: values.to_vec() };
+    let joint = |(name, j): (&String, &lacuna_diagnose::evidence::JointTrace)| JointTrace {
+        joint: name.clone(),
+        measured: j.measured.clone(),
+        q_rad: j.q_rad.clone(),
+        qd_rad_s: j.qd_rad_s.clone(),
+        variables: j.variables.iter().map(|(name, values)| series(variable(name), values)).collect(),
+        models: vec![series("before", &j.before), series("after", &j.after), series("black box", &j.black_box)],
+    };
+    TorqueTrace {
+        recording: t.recording.clone(),
+        t_s: t.t_s.clone(),
+        joints: joints.iter().zip(&t.joints).map(joint).collect(),
     }
 }
 
@@ -47,20 +87,46 @@ fn number(v: f64) -> Option<f64> {
     v.is_finite().then_some(v)
 }
 
-fn setup(options: &Options, started: bool) -> Setup {
-    let all = || options.recordings.iter().map(|r| Stretch { recording: r.name.clone(), from_s: None, to_s: None });
+fn setup(outcome: &Outcome, options: &Options, started: bool) -> Setup {
+    let evidence = &outcome.evidence;
+    let all = |list: &[lacuna_diagnose::split::Stretch]| -> Vec<Stretch> {
+        // Whole recordings by their name alone; of those cut into folds the name is enough.
+        let whole = options.conditioning.split.test.is_empty();
+        let mut out: Vec<Stretch> = Vec::new();
+        for s in list {
+            let bound = |v: f64| (!whole).then_some(v);
+            let stretch = Stretch { recording: s.recording.clone(), from_s: bound(s.from_s), to_s: bound(s.to_s) };
+            if !out.contains(&stretch) {
+                out.push(stretch);
+            }
+        }
+        out
+    };
     let start = if started { "as manifest.json says" } else { "one right after another: no manifest.json tells" };
+    let split = &outcome.findings.held_out.split;
+    let held = match split.as_str() {
+        "files" => "test stretches, neither chosen nor fitted on".to_owned(),
+        _ => format!(
+            "{} ({} folds); each is predicted by a fit to the others, the terms were chosen on all",
+            words::split(split),
+            evidence.folds
+        ),
+    };
+    let slow = evidence.slow_rad_s.iter().map(|v| significant(*v, 2)).collect::<Vec<_>>().join(", ");
+    let mut further = vec![
+        ("Held out".to_owned(), held),
+        ("Left out".to_owned(), format!("rows slower than {slow} rad/s, joint by joint")),
+        ("Start of the recordings".to_owned(), start.to_owned()),
+        ("Seed".to_owned(), options.seed.to_string()),
+    ];
+    further.splice(0..0, evidence.simulator.iter().cloned());
     Setup {
-        train: all().collect(),
-        test: Vec::new(),
-        band_hz: options.conditioning.band_hz,
-        moving_rad_s: options.conditioning.moving_rad_s,
+        train: all(&evidence.train),
+        test: all(&evidence.test),
+        band_hz: number(evidence.band_hz),
+        moving_rad_s: None,
         samples: Some(options.recordings.iter().map(|r| r.len() as u64).sum()),
-        further: vec![
-            ("Held out".to_owned(), format!("part by part of {}", words::count(options.recordings.len(), "recording"))),
-            ("Start of the recordings".to_owned(), start.to_owned()),
-            ("Seed".to_owned(), options.seed.to_string()),
-        ],
+        further,
     }
 }
 
@@ -110,7 +176,7 @@ fn finding(f: &Finding) -> lacuna_report::Finding {
         alternatives: f.alternatives.iter().map(|a| (a.effect.clone(), a.probability)).collect(),
         parameters: f.parameters.iter().map(parameter).collect(),
         held_out: Some(gain(&f.held_out)),
-        regions: Vec::new(),
+        regions: regions(&f.region),
         intervals: intervals(&f.intervals_s),
     }
 }
@@ -139,13 +205,17 @@ fn gain(g: &Reduction) -> Gain {
 }
 
 fn held_out(f: &Findings) -> Vec<BeforeAfterRow> {
+    let held = &f.held_out;
     let get = |list: &[f64], j: usize| list.get(j).copied().unwrap_or(f64::NAN);
+    let interval = |list: &[[f64; 2]], j: usize| list.get(j).filter(|[a, b]| a < b).map(|[a, b]| (*a, *b));
     let row = |(j, joint): (usize, &String)| BeforeAfterRow {
         joint: joint.clone(),
-        before_rms: get(&f.held_out.before_rms_nm, j),
-        after_rms: get(&f.held_out.after_rms_nm, j),
+        before_rms: get(&held.before_rms_nm, j),
+        after_rms: get(&held.after_rms_nm, j),
+        before_ci95: interval(&held.before_ci95_nm, j),
+        after_ci95: interval(&held.after_ci95_nm, j),
+        black_box_rms: number(get(&held.black_box_rms_nm, j)),
         noise_floor: number(get(&f.baseline.noise_floor_nm, j)),
-        ..BeforeAfterRow::default()
     };
     f.joints.iter().enumerate().map(row).collect()
 }

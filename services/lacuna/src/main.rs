@@ -1,6 +1,7 @@
 //! `lacuna`: the command line.
 
 mod bench;
+mod chosen;
 mod demo;
 mod diagnose;
 mod diagnose_report;

@@ -27,6 +27,7 @@ pub fn split(name: &str) -> String {
     match name {
         "files" => "the test recordings given".to_owned(),
         "recordings" => "every recording in turn".to_owned(),
+        "parts" => "part by part of the recordings' time, in turn".to_owned(),
         "halves" => "both halves of time in turn".to_owned(),
         other => match other.strip_prefix("kfold=") {
             Some(n) => format!("each of {n} parts of time in turn"),

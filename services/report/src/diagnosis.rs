@@ -32,6 +32,9 @@ pub struct DiagnosisReportData {
     pub findings: Vec<Finding>,
     /// Held-out error per joint before and after all findings.
     pub held_out: Vec<BeforeAfterRow>,
+    /// What the held-out rows are, to complete "Relative torque error, all joints, …": "on recordings used neither to
+    /// select nor to fit". Empty: "held out".
+    pub held_out_words: String,
     /// Pooled relative error before.
     pub relative_before: Option<f64>,
     /// Pooled relative error after.
@@ -46,6 +49,8 @@ pub struct DiagnosisReportData {
     pub noise_relative: Option<f64>,
     /// Forward simulation with the terms off and on, per joint.
     pub forward: Vec<ForwardRow>,
+    /// How the forward simulation was made, in words.
+    pub forward_words: String,
     /// Recordings, held-out ones first. Per joint, model 0 is before, 1 is after, 2 the black box (optional),
     /// others beside them.
     pub traces: Vec<TorqueTrace>,

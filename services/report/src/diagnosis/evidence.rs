@@ -102,7 +102,8 @@ pub(super) fn held_out(data: &DiagnosisReportData, unit: &str) -> Vec<Block> {
         })
         .collect();
     if !bars.is_empty() {
-        let caption = "Relative torque error, all joints, on recordings used neither to select nor to fit".to_owned();
+        let words = if data.held_out_words.is_empty() { "held out" } else { &data.held_out_words };
+        let caption = format!("Relative torque error, all joints, {words}");
         blocks.push(Block::Bars(Bars { caption, bars, full_scale: None }));
     }
     if let (Some(after), Some(black_box)) = (data.relative_after, data.black_box_relative) {
@@ -124,6 +125,9 @@ pub(super) fn held_out(data: &DiagnosisReportData, unit: &str) -> Vec<Block> {
             ]);
         }
         blocks.push(Block::Table(table));
+        if !data.forward_words.is_empty() {
+            blocks.push(Block::text(&data.forward_words));
+        }
     }
     blocks
 }
@@ -132,7 +136,7 @@ fn black_box_words(after: f64, black_box: f64) -> String {
     let shares = format!("({} against {})", percent(after), percent(black_box));
     if after <= black_box {
         format!(
-            "The named model is at least as good as the black box {shares}. A flexible function of the same inputs found nothing more."
+            "The named model is at least as good as the black box {shares}: a flexible function of the same inputs found nothing more."
         )
     } else {
         format!("The black box is better {shares}: something systematic is left that the named terms do not describe.")

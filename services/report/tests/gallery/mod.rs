@@ -311,6 +311,7 @@ pub fn diagnosis() -> DiagnosisReportData {
         located: where_,
         findings: vec![finding(first)],
         held_out: first.joints.iter().map(row).collect(),
+        held_out_words: "on recordings used neither to select nor to fit".into(),
         relative_before: Some(relative(first, 0)),
         relative_after: Some(relative(first, 1)),
         relative_after_ci95: Some((relative(first, 1) * 0.93, relative(first, 1) * 1.08)),
@@ -322,6 +323,7 @@ pub fn diagnosis() -> DiagnosisReportData {
             ForwardRow { joint: "q2".into(), off_rad: 0.0312, on_rad: 0.0052 },
             ForwardRow { joint: "q3".into(), off_rad: 0.0038, on_rad: 0.0038 },
         ],
+        forward_words: "Position after 0.1 s from the recorded state, driven by the recorded torque.".into(),
         traces,
         unknown: Some(unknown()),
         excluded: vec![

@@ -455,6 +455,21 @@ fn diagnose_names_a_planted_effect_and_writes_three_files() {
     assert!(model.terms.iter().any(|t| t.effect == named), "{:?}", model.terms);
     let report = read("out/report.html");
     assert!(report.starts_with("<!doctype html>") && report.contains("What is missing"));
+    for part in ["Residual over velocity and angle", "black box", "every fold predicted by a fit to the others"] {
+        assert!(report.contains(part), "\"{part}\" belongs in the report");
+    }
+    // Against a simulator without the effect, judged on a recording that nothing was chosen or fitted on.
+    bench.write("sim.toml", SIMULATION);
+    ok(&bench.lacuna(&["simulate", "--robot", "robot.toml", "--config", "sim.toml", "--out", "sim"]));
+    let [a, b, c] = RECORDINGS;
+    let sim = ["sim/traj_01.csv", "sim/traj_02.csv", "sim/traj_03.csv"];
+    let words = ok(&diagnose(&bench, "split", &[&["--train", a, b, "--test", c, "--sim"][..], &sim].concat()));
+    let findings = json(&bench.path().join("split/findings.json"));
+    check_findings(&findings);
+    assert_eq!(findings["held_out"]["split"], "files");
+    let named: Vec<&Value> = findings["findings"].as_array().into_iter().flatten().map(|f| &f["effect"]).collect();
+    assert!(named == ["torque_offset"] || named == ["coulomb_asym"], "{named:?}");
+    assert!(words.contains("the simulator misses") && words.contains("The simulator contains: "), "{words}");
 }
 
 #[test]
@@ -485,6 +500,12 @@ fn diagnose_refuses_in_one_line() {
         (&[a, "corrupt.csv"], &["corrupt.csv:3:"]),
         (&["--band", "0", a, b], &["--band", "0"]),
         (&["--moving", "-1", a, b], &["--moving", "-1"]),
+        (&["--train", a], &["1 training and 0 test"]),
+        (&["--train", a, "--test", a], &["traj_01.csv", "training and test alike"]),
+        (&["--train", a, "--test", "rec/traj_02.csv@3:2"], &["traj_02.csv@3:2"]),
+        (&["--holdout", "third", a], &["third", "halves"]),
+        (&["--holdout", "recordings", a], &["1 recording", "2"]),
+        (&[a, b, "--sim", "absent.csv"], &["absent.csv", "no such file"]),
     ];
     for (args, words) in cases {
         refused(&diagnose(&bench, "out", args), words);

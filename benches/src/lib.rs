@@ -1,11 +1,17 @@
 //! Benchmarks, each with its baseline in the same run: absolute times depend on the machine and its mood, ratios
 //! much less. `lacuna bench` prints them; nothing here is a test.
 
+pub mod balance;
 pub mod chain;
+pub mod conditions;
+pub mod faults;
 pub mod latency;
+pub mod load;
 pub mod memory;
 pub mod motion;
+pub mod soak;
 pub mod stages;
+pub mod stress;
 pub mod throughput;
 
 use std::path::PathBuf;

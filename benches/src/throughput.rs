@@ -2,13 +2,13 @@
 
 use crate::chain::{bare, graph};
 use crate::{BenchError, median, motion};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 const NODES: [&str; 5] = ["source", "smoother", "torque", "friction", "payload"];
 
 /// One way to run the graph.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Row {
     /// What was run.
     pub what: String,

@@ -7,6 +7,9 @@ use crate::BadInput;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
+/// Processor numbers a node can name are below this (the size of the kernel's usual set).
+pub const MAX_CPUS: usize = 1024;
+
 /// What an edge promises.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -52,6 +55,12 @@ pub struct Node {
     /// First pause before a restart [ms]; doubles up to 64 times itself.
     #[serde(default = "default_backoff")]
     pub backoff_ms: u64,
+    /// Real-time priority (SCHED_FIFO) of the process, 1 to 99; without it the operating system's usual scheduling.
+    /// Threads that the stage starts later have it too.
+    pub priority: Option<u8>,
+    /// Processors the process may run on; empty for all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub cpus: Vec<usize>,
     /// The stage's configuration, passed as it is.
     #[serde(default)]
     pub config: toml::Table,
@@ -192,6 +201,7 @@ impl GraphFile {
                     node.name
                 )));
             }
+            node.validate_scheduling()?;
             for (k, topic) in node.inputs.iter().enumerate() {
                 if node.inputs[..k].contains(topic) {
                     return Err(BadInput::new(format!("node \"{}\": reads topic \"{topic}\" twice", node.name)));
@@ -215,6 +225,21 @@ impl GraphFile {
             }
         }
         Ok(())
+    }
+}
+
+impl Node {
+    fn validate_scheduling(&self) -> Result<(), BadInput> {
+        let bad = |what: String| Err(BadInput::new(format!("node \"{}\": {what}", self.name)));
+        if let Some(priority) = self.priority
+            && !(1..=99).contains(&priority)
+        {
+            return bad(format!("priority: found {priority}; expected 1 (lowest) to 99"));
+        }
+        match self.cpus.iter().find(|&&cpu| cpu >= MAX_CPUS) {
+            Some(cpu) => bad(format!("cpus: found {cpu}; expected processor numbers below {MAX_CPUS}")),
+            None => Ok(()),
+        }
     }
 }
 

@@ -16,6 +16,7 @@ mod recover;
 mod runs;
 mod simulate;
 mod supervise;
+mod top;
 mod words;
 
 use clap::{Parser, Subcommand};
@@ -40,6 +41,8 @@ enum Command {
     Down(runs::RunArgs),
     /// Show the runs of this user, or one of them.
     Status(runs::StatusArgs),
+    /// Watch a running graph: rates, latencies, drops, restarts, alarms.
+    Top(top::TopArgs),
     /// Print the logs of a run.
     Logs(runs::LogsArgs),
     /// Identify a robot's model from recordings, with its error on data it has not seen.
@@ -65,6 +68,7 @@ fn main() -> ExitCode {
         Command::Up(args) => graph::up(args),
         Command::Down(args) => runs::down(&args),
         Command::Status(args) => runs::status(&args),
+        Command::Top(args) => top::top(&args),
         Command::Logs(args) => runs::logs(&args),
         Command::Identify(args) => identify::identify(&args),
         Command::Diagnose(args) => diagnose::diagnose(&args),

@@ -2,7 +2,7 @@
 
 use crate::CommandResult;
 use clap::Args;
-use lacuna_stage::{Failure, RunDir};
+use lacuna_stage::{Failure, HopLatency, RunDir};
 use rustix::process::{Pid, Signal, getuid, kill_process, test_kill_process};
 use serde::{Deserialize, Serialize};
 use std::io::Write;
@@ -31,7 +31,8 @@ pub enum State {
 }
 
 impl State {
-    fn word(self) -> &'static str {
+    /// As a user reads it.
+    pub fn word(self) -> &'static str {
         match self {
             Self::Starting => "starting",
             Self::Running => "running",
@@ -54,6 +55,24 @@ pub struct NodeStatus {
     pub restarts: u32,
     /// Samples handled, as last reported.
     pub samples: u64,
+    /// Samples per second over the last half second or so.
+    #[serde(default)]
+    pub rate_hz: f64,
+    /// Deliveries that a reader could not take.
+    #[serde(default)]
+    pub dropped: u64,
+    /// Samples missing in what it reads.
+    #[serde(default)]
+    pub missing: u64,
+    /// All flags of the last half second or so.
+    #[serde(default)]
+    pub flags: u32,
+    /// Latencies of the last half second or so (live).
+    #[serde(default)]
+    pub latency: Vec<HopLatency>,
+    /// Why its last process died, if one did.
+    #[serde(default)]
+    pub fault: Option<String>,
 }
 
 /// `status.json` of a run.
@@ -86,7 +105,8 @@ impl RunStatus {
         }
     }
 
-    fn read(dir: &Path) -> Option<Self> {
+    /// Reads the file; a run whose supervisor is gone has failed.
+    pub fn read(dir: &Path) -> Option<Self> {
         let mut status: Self = serde_json::from_str(&std::fs::read_to_string(dir.join(STATUS)).ok()?).ok()?;
         if matches!(status.state, State::Starting | State::Running) && !alive(status.pid) {
             status.state = State::Failed;
@@ -190,7 +210,8 @@ pub struct LogsArgs {
     node: Option<String>,
 }
 
-fn find(args: &RunArgs) -> Result<(PathBuf, RunStatus), Failure> {
+/// The newest run that `args` names.
+pub fn find(args: &RunArgs) -> Result<(PathBuf, RunStatus), Failure> {
     let runs = list(&root()?);
     let wanted = args.run.as_deref().unwrap_or("");
     runs.into_iter().rfind(|(_, s)| s.run.contains(wanted)).ok_or_else(|| {

@@ -35,11 +35,13 @@ impl Process {
     }
 }
 
-/// `run.mcap` → `run-restart2.mcap`: a recorder that was killed goes on in a new file.
+/// `run.mcap` → `run-restart2.mcap`: a recorder that was killed goes on in a new file, the first of its name.
 fn numbered(path: &Path, restarts: u32) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let extension = path.extension().map(|e| format!(".{}", e.to_string_lossy())).unwrap_or_default();
-    path.with_file_name(format!("{stem}-restart{restarts}{extension}"))
+    let name = |n: u32| path.with_file_name(format!("{stem}-restart{n}{extension}"));
+    // A file of an earlier run is not in the way: this run must go on.
+    (restarts..u32::MAX).map(name).find(|p| !p.exists()).unwrap_or_else(|| name(restarts))
 }
 
 fn attachments(context: &SinkContext<'_>) -> Result<Vec<Attachment>, BadInput> {
@@ -113,6 +115,10 @@ impl Sink for Process {
         if !complete {
             // Dropping the recorder writes what it holds, without the mark of a complete file.
             return Ok(serde_json::json!({ "path": path, "complete": false }));
+        }
+        if self.streams.is_empty() {
+            // Started again when all streams had ended.
+            return Ok(serde_json::json!({ "path": null, "complete": true }));
         }
         self.recorder()?;
         let Some(recorder) = self.recorder.take() else { return Err("no recorder".to_owned()) };

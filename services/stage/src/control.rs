@@ -30,6 +30,8 @@ pub struct StageReport {
     pub received: std::collections::BTreeMap<String, u64>,
     /// Samples published.
     pub published: u64,
+    /// Number of the last sample (sources).
+    pub last_seq: u64,
     /// Deliveries that a live reader could not take (counted by the writer).
     pub dropped: u64,
     /// Samples missing in the input sequences (counted by the reader).
@@ -44,6 +46,22 @@ pub struct StageReport {
     pub details: serde_json::Value,
 }
 
+/// Counts of a process that is still running.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Gauge {
+    /// Deliveries that a live reader could not take, so far.
+    pub dropped: u64,
+    /// Samples missing in the input sequences, so far.
+    pub missing: u64,
+    /// All flags of the samples handled since the last line ([`lacuna_interfaces::flag`]).
+    pub flags: u32,
+    /// Since the last line, live only: `in`, from the publication of the stage before to reception here, and
+    /// `age`, from the publication of the source to reception here, less the smoother's lag.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub latency: Vec<HopLatency>,
+}
+
 /// A line on standard output.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
@@ -56,6 +74,14 @@ pub enum Event {
         samples: u64,
         /// Share of the input that is done, where the stage knows it.
         fraction: Option<f64>,
+        /// Drops, holes, flags and latencies.
+        #[serde(default)]
+        gauge: Gauge,
+    },
+    /// After a restart: the first sample was passed on.
+    Flowing {
+        /// CLOCK_MONOTONIC [ns].
+        at_ns: u64,
     },
     /// The stream ended and everything was passed on.
     Done {
@@ -69,6 +95,34 @@ pub enum Event {
         /// Exit code that belongs to it: 2 for bad input or use, else 1.
         code: u8,
     },
+}
+
+/// What the supervisor tells a process: one line each on its standard input.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Order {
+    /// To sources: the stream begins, or began, at this reading of CLOCK_MONOTONIC [ns].
+    Go(u64),
+    /// The writer of this topic has left for good; what is in the buffer is the last of it.
+    Ended(String),
+}
+
+impl Order {
+    /// The line, with its end.
+    pub fn line(&self) -> String {
+        match self {
+            Self::Go(ns) => format!("go {ns}\n"),
+            Self::Ended(topic) => format!("ended {topic}\n"),
+        }
+    }
+
+    /// Reads a line; `None` for one that is no order.
+    pub fn parse(line: &str) -> Option<Self> {
+        match line.split_whitespace().collect::<Vec<_>>().as_slice() {
+            ["go", ns] => ns.parse().ok().map(Self::Go),
+            ["ended", topic] => Some(Self::Ended((*topic).to_owned())),
+            _ => None,
+        }
+    }
 }
 
 impl Event {

@@ -1,6 +1,7 @@
 //! Latency per hop, from the stamps in the header.
 
-use crate::control::HopLatency;
+use crate::clock::monotonic_ns;
+use crate::control::{Gauge, HopLatency};
 use hdrhistogram::Histogram;
 use lacuna_interfaces::Header;
 use lacuna_interfaces::wire::MAX_HOPS;
@@ -50,14 +51,6 @@ impl LatencyMeter {
     /// Percentiles of every hop that was seen, then end to end.
     pub fn report(&self) -> Vec<HopLatency> {
         let last = self.hops.iter().rposition(|h| !h.is_empty());
-        let summary = |hop: String, h: &Histogram<u64>| HopLatency {
-            hop,
-            p50_us: h.value_at_quantile(0.5) as f64 / 1e3,
-            p99_us: h.value_at_quantile(0.99) as f64 / 1e3,
-            p999_us: h.value_at_quantile(0.999) as f64 / 1e3,
-            max_us: h.max() as f64 / 1e3,
-            count: h.len(),
-        };
         let Some(last) = last else { return Vec::new() };
         let name = |i: usize| if i == last { format!("{i}→here") } else { format!("{i}→{}", i + 1) };
         let mut all: Vec<HopLatency> = (0..=last).map(|i| summary(name(i), &self.hops[i])).collect();
@@ -67,5 +60,64 @@ impl LatencyMeter {
             all.push(summary("end to end less the smoother's lag".to_owned(), &self.total_less_lag));
         }
         all
+    }
+}
+
+fn summary(hop: String, h: &Histogram<u64>) -> HopLatency {
+    HopLatency {
+        hop,
+        p50_us: h.value_at_quantile(0.5) as f64 / 1e3,
+        p99_us: h.value_at_quantile(0.99) as f64 / 1e3,
+        p999_us: h.value_at_quantile(0.999) as f64 / 1e3,
+        max_us: h.max() as f64 / 1e3,
+        count: h.len(),
+    }
+}
+
+/// What one live process sees of latency and flags between two of its progress lines.
+pub struct EdgeMeter {
+    incoming: Histogram<u64>,
+    age: Histogram<u64>,
+    flags: u32,
+    /// Replays are as fast as they can be; how long a sample waits in a full buffer says nothing.
+    live: bool,
+}
+
+impl EdgeMeter {
+    /// Allocates; recording does not.
+    pub fn new(live: bool) -> Self {
+        let histogram = || Histogram::new_with_bounds(1, HIGHEST_NS, 2).expect("constant, valid bounds");
+        Self { incoming: histogram(), age: histogram(), flags: 0, live }
+    }
+
+    /// Takes note of a sample's flags only.
+    pub fn flags_of(&mut self, header: &Header) {
+        self.flags |= header.flags;
+    }
+
+    /// Takes note of a sample that has just been received.
+    pub fn record(&mut self, header: &Header) {
+        self.flags |= header.flags;
+        if !self.live {
+            return;
+        }
+        let now_ns = monotonic_ns();
+        if let Some(last) = (header.hops as usize).min(MAX_HOPS).checked_sub(1) {
+            self.incoming.saturating_record(now_ns.saturating_sub(header.hop_ns[last]).max(1));
+            let age = now_ns.saturating_sub(header.hop_ns[0]).saturating_sub(header.lag_ns);
+            self.age.saturating_record(age.max(1));
+        }
+    }
+
+    /// What was seen since the last call.
+    pub fn take(&mut self, dropped: u64, missing: u64) -> Gauge {
+        let latency = if self.incoming.is_empty() {
+            Vec::new()
+        } else {
+            vec![summary("in".to_owned(), &self.incoming), summary("age".to_owned(), &self.age)]
+        };
+        self.incoming.reset();
+        self.age.reset();
+        Gauge { dropped, missing, flags: std::mem::take(&mut self.flags), latency }
     }
 }

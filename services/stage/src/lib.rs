@@ -18,11 +18,12 @@ pub mod control;
 pub mod domain;
 mod latency;
 mod process;
+mod realtime;
 mod sink_loop;
 mod source_loop;
 mod stage_loop;
 
-pub use control::{Event, HopLatency, StageReport};
+pub use control::{Event, Gauge, HopLatency, Order, StageReport};
 pub use domain::{Domain, RunDir};
 pub use process::Failure;
 pub use sink_loop::{AnyMessage, Sink, SinkContext, run_sink};

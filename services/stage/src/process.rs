@@ -1,16 +1,17 @@
 //! What every process of a graph does the same way: arguments, signals, the files it is given, how it ends.
 
-use crate::control::Event;
+use crate::clock::monotonic_ns;
+use crate::control::{Event, Gauge, Order};
 use crate::domain::{Domain, RunDir};
 use clap::Parser;
-use lacuna_interfaces::graph::{GraphFile, Node};
+use lacuna_interfaces::graph::{GraphFile, Mode, Node};
 use lacuna_interfaces::{BadInput, ModelFile};
 use lacuna_recording::LoadedRobot;
 use std::io::BufRead;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Why a process or a run ends early.
 #[derive(Debug, Clone, thiserror::Error)]
@@ -96,7 +97,17 @@ pub(crate) struct Process {
     pub model_text: Option<String>,
     pub run: RunDir,
     pub stop: Stop,
-    go: Stop,
+    orders: Arc<Orders>,
+}
+
+/// What the supervisor has said so far.
+#[derive(Default)]
+struct Orders {
+    /// When the stream began [ns], 0 before.
+    began_ns: AtomicU64,
+    /// Looked at before the lock is taken.
+    any_ended: AtomicBool,
+    ended: Mutex<Vec<String>>,
 }
 
 impl Process {
@@ -122,13 +133,13 @@ impl Process {
             signal_hook::flag::register(signal, Arc::clone(&stop.0))
                 .map_err(|e| Failure::run(format!("cannot handle signals: {e}")))?;
         }
-        let go = Stop::default();
+        let orders = Arc::new(Orders::default());
         if args.unsupervised {
-            go.0.store(true, Ordering::Relaxed);
+            orders.began_ns.store(monotonic_ns(), Ordering::Relaxed);
         } else {
-            watch_supervisor(stop.clone(), go.clone());
+            watch_supervisor(stop.clone(), Arc::clone(&orders));
         }
-        Ok(Self { graph, node, restarts: args.restarts, robot, model, model_text, run, stop, go })
+        Ok(Self { graph, node, restarts: args.restarts, robot, model, model_text, run, stop, orders })
     }
 
     /// The node's configuration as the stage's own type.
@@ -166,23 +177,39 @@ impl Process {
         }
     }
 
-    /// Says ready and waits until the supervisor lets the stream begin (or a stop is asked for).
-    pub fn wait_for_go(&self) {
-        while !self.go.requested() && !self.stop.requested() {
+    /// Waits until the supervisor lets the stream begin (or a stop is asked for). Returns when it began, which for a
+    /// source that was started again lies in the past.
+    pub fn wait_for_go(&self) -> u64 {
+        loop {
+            let began = self.orders.began_ns.load(Ordering::Relaxed);
+            if began > 0 || self.stop.requested() {
+                return began;
+            }
             std::thread::sleep(std::time::Duration::from_millis(1));
         }
     }
+
+    /// True if the writer of `topic` has left for good: an empty buffer then is the end of a live stream.
+    pub fn ended(&self, topic: &str) -> bool {
+        self.graph.mode == Mode::Live
+            && self.orders.any_ended.load(Ordering::Acquire)
+            && self.orders.ended.lock().unwrap_or_else(PoisonError::into_inner).iter().any(|t| t == topic)
+    }
 }
 
-/// Reads the standard input on a thread of its own: the line `go` starts the stream, its end (the
-/// supervisor died) stops the process.
-fn watch_supervisor(stop: Stop, go: Stop) {
+/// Reads the standard input on a thread of its own: the supervisor's orders; its end (the supervisor died) stops
+/// the process.
+fn watch_supervisor(stop: Stop, orders: Arc<Orders>) {
     std::thread::spawn(move || {
         for line in std::io::stdin().lock().lines() {
-            match line {
-                Ok(line) if line.trim() == "go" => go.0.store(true, Ordering::Relaxed),
-                Ok(_) => {}
-                Err(_) => break,
+            let Ok(line) = line else { break };
+            match Order::parse(&line) {
+                Some(Order::Go(ns)) => orders.began_ns.store(ns.max(1), Ordering::Relaxed),
+                Some(Order::Ended(topic)) => {
+                    orders.ended.lock().unwrap_or_else(PoisonError::into_inner).push(topic);
+                    orders.any_ended.store(true, Ordering::Release);
+                }
+                None => {}
             }
         }
         stop.0.store(true, Ordering::Relaxed);
@@ -224,10 +251,10 @@ impl Pulse {
     }
 
     /// Emits a progress event if half a second has passed since the last one.
-    pub fn progress(&mut self, samples: u64, fraction: Option<f64>) {
+    pub fn progress(&mut self, samples: u64, fraction: Option<f64>, gauge: impl FnOnce() -> Gauge) {
         if self.last.elapsed().as_millis() >= 500 {
             self.last = std::time::Instant::now();
-            Event::Progress { samples, fraction }.emit();
+            Event::Progress { samples, fraction, gauge: gauge() }.emit();
         }
     }
 }

@@ -4,7 +4,7 @@ use crate::bus::{Input, Received, Wake, topic_type};
 use crate::clock::monotonic_ns;
 use crate::control::{Event, StageReport};
 use crate::domain::Domain;
-use crate::latency::LatencyMeter;
+use crate::latency::{EdgeMeter, LatencyMeter};
 use crate::process::{Failure, Process, Pulse, main_with};
 use lacuna_interfaces::graph::{GraphFile, Mode};
 use lacuna_interfaces::{
@@ -150,6 +150,7 @@ fn body<S: Sink>(process: &Process) -> Result<StageReport, Failure> {
         mode: process.graph.mode,
     };
     let mut sink = S::new(process.config()?, &context)?;
+    crate::realtime::apply(&process.node)?;
     Event::Ready.emit();
 
     let mut report = StageReport::default();
@@ -170,7 +171,11 @@ fn open_inputs(domain: &Domain, process: &Process) -> Result<Vec<Option<AnyInput
     for topic in &process.node.inputs {
         let type_name = loop {
             if let Some(name) = topic_type(topic) {
-                break name;
+                break Some(name);
+            }
+            // Its writer left while this process was being started again.
+            if process.ended(topic) {
+                break None;
             }
             if process.stop.requested() {
                 return Err(Failure::Stopped);
@@ -183,7 +188,7 @@ fn open_inputs(domain: &Domain, process: &Process) -> Result<Vec<Option<AnyInput
             }
             std::thread::sleep(Duration::from_millis(2));
         };
-        inputs.push(Some(AnyInput::open(domain, &process.graph, topic, &type_name)?));
+        inputs.push(type_name.map(|name| AnyInput::open(domain, &process.graph, topic, &name)).transpose()?);
     }
     Ok(inputs)
 }
@@ -199,19 +204,25 @@ fn pump<S: Sink>(
     pulse: &mut Pulse,
 ) -> Result<(), Failure> {
     let last = inputs.len().saturating_sub(1);
+    let mut meter = EdgeMeter::new(process.graph.mode == Mode::Live);
+    let mut flowing = process.restarts == 0;
     while inputs.iter().any(Option::is_some) {
         let mut taken = 0;
         for (index, slot) in inputs.iter_mut().enumerate() {
             let Some(input) = slot else { continue };
+            // Asked before the buffer is looked at: what came until then is still taken.
+            let left = process.ended(input.counts().0);
             let (n, ended) = input.drain(&mut |topic, message, missing| {
+                meter.flags_of(message.header());
                 // The last topic has passed every stage: it tells the whole way.
                 if index == last {
                     latency.record(message.header(), monotonic_ns());
+                    meter.record(message.header());
                 }
                 sink.take(topic, message, missing).map_err(Failure::run)
             })?;
             taken += n;
-            if ended {
+            if ended || (left && n == 0) {
                 let (topic, received, missing) = input.counts();
                 report.received.insert(topic.to_owned(), received);
                 report.missing += missing;
@@ -221,12 +232,17 @@ fn pump<S: Sink>(
         if process.stop.requested() {
             return Err(Failure::Stopped);
         }
+        if taken > 0 && !flowing {
+            flowing = true;
+            Event::Flowing { at_ns: monotonic_ns() }.emit();
+        }
         if taken == 0 && inputs.iter().any(Option::is_some) {
             sink.idle();
             wake.wait(WAIT);
         }
         let samples = inputs.iter().flatten().map(|i| i.counts().1).max().unwrap_or(0);
-        pulse.progress(samples, None);
+        let missing = report.missing + inputs.iter().flatten().map(|i| i.counts().2).sum::<u64>();
+        pulse.progress(samples, None, || meter.take(0, missing));
     }
     Ok(())
 }

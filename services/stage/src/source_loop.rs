@@ -2,9 +2,9 @@
 
 use crate::bus::Output;
 use crate::clock::monotonic_ns;
-use crate::control::{Event, StageReport};
+use crate::control::{Event, Gauge, StageReport};
 use crate::process::{Failure, Process, Pulse, main_with};
-use lacuna_interfaces::{BadInput, RobotFile, Wire};
+use lacuna_interfaces::{BadInput, RobotFile, Wire, flag};
 use serde::de::DeserializeOwned;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -59,15 +59,22 @@ fn body<S: Source>(process: &Process) -> Result<StageReport, Failure> {
         .as_deref()
         .ok_or_else(|| Failure::usage(format!("node \"{}\": found no output; expected one", process.node.name)))?;
     let mut output = Output::<S::Output>::open(&domain, &process.graph, topic, &process.stop)?;
+    crate::realtime::apply(&process.node)?;
     Event::Ready.emit();
-    process.wait_for_go();
+    let start = process.wait_for_go();
 
     let mut pulse = Pulse::new();
-    let start = monotonic_ns();
-    let mut last_seq = 0;
+    let (mut last_seq, mut flags) = (0, 0);
+    let mut first = if process.restarts > 0 { catch_up(&mut source, start, process)? } else { None };
+    let mut flowing = process.restarts == 0;
     // A stop request ends the stream here; the sentinel then ends it everywhere, in order.
     while !process.stop.requested() {
-        let Some(sample) = source.next_sample()? else { break };
+        let next = match first.take() {
+            None => source.next_sample()?,
+            some => some,
+        };
+        let Some(mut sample) = next else { break };
+        sample.header_mut().restarts = process.restarts;
         if let Some(due) = source.due_ns(&sample) {
             sleep_until(start + due, &mut output, process);
         }
@@ -82,12 +89,22 @@ fn body<S: Source>(process: &Process) -> Result<StageReport, Failure> {
             other => other?,
         }
         last_seq = sample.header().seq;
+        if !flowing {
+            flowing = true;
+            Event::Flowing { at_ns: monotonic_ns() }.emit();
+        }
+        flags |= sample.header().flags;
         if last_seq % 256 == 0 || source.due_ns(&sample).is_some() {
-            pulse.progress(last_seq, source.fraction());
+            pulse.progress(last_seq, source.fraction(), || Gauge {
+                dropped: output.dropped(),
+                flags: std::mem::take(&mut flags),
+                ..Gauge::default()
+            });
         }
     }
     let report = StageReport {
         published: output.published(),
+        last_seq,
         dropped: output.dropped(),
         details: source.report(),
         ..StageReport::default()
@@ -95,6 +112,25 @@ fn body<S: Source>(process: &Process) -> Result<StageReport, Failure> {
     process.stop.clear();
     output.finish(last_seq + 1, process.robot.file.joint_count() as u32)?;
     Ok(report)
+}
+
+/// A source that was started again goes on where the stream is now: the samples that came due while it was down are a
+/// hole in the sequence, which every reader counts. Returns the first sample that is not late.
+fn catch_up<S: Source>(source: &mut S, start: u64, process: &Process) -> Result<Option<S::Output>, Failure> {
+    while !process.stop.requested() {
+        let Some(mut sample) = source.next_sample()? else { return Ok(None) };
+        let Some(due) = source.due_ns(&sample) else {
+            return Err(Failure::usage(format!(
+                "node \"{}\": cannot go on after a restart, since nothing says where the stream is now; expected a rate",
+                process.node.name
+            )));
+        };
+        if start + due >= monotonic_ns() {
+            sample.header_mut().flags |= flag::GAP;
+            return Ok(Some(sample));
+        }
+    }
+    Ok(None)
 }
 
 /// Sleeps until the monotonic clock reads `due`; wakes the readers first, so that they work meanwhile.

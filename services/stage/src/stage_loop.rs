@@ -1,7 +1,9 @@
 //! The process around a [`Stage`].
 
 use crate::bus::{Input, Output, Received, Wake};
+use crate::clock::monotonic_ns;
 use crate::control::{Event, StageReport};
+use crate::latency::EdgeMeter;
 use crate::process::{Failure, Process, Pulse, main_with};
 use lacuna_interfaces::graph::Mode;
 use lacuna_interfaces::{Stage, StageContext, Wire, flag};
@@ -31,14 +33,19 @@ fn body<S: Stage>(process: &Process) -> Result<StageReport, Failure> {
         .as_deref()
         .ok_or_else(|| Failure::usage(format!("node \"{}\": found no output; expected one", process.node.name)))?;
     let mut output = Output::<S::Output>::open(&domain, &process.graph, topic, &process.stop)?;
+    crate::realtime::apply(&process.node)?;
     Event::Ready.emit();
 
     let mut relay = Relay::new(process);
     let mut pulse = Pulse::new();
+    let mut meter = EdgeMeter::new(process.graph.mode == Mode::Live);
     let mut joints = process.robot.file.joint_count() as u32;
     'stream: loop {
         for _ in 0..BURST {
+            // Asked before the buffer is looked at: what came until then is still taken.
+            let ended = process.ended(input.topic());
             match input.receive()? {
+                None if ended => break 'stream,
                 None => {
                     output.flush();
                     wake.wait(WAIT);
@@ -48,6 +55,7 @@ fn body<S: Stage>(process: &Process) -> Result<StageReport, Failure> {
                 Some(Received::Sample { sample, missing }) => {
                     let message = &sample.payload().0;
                     joints = message.header().joints;
+                    meter.record(message.header());
                     if missing > 0 || (relay.restarts > 0 && relay.last_seq == 0) {
                         // Live only: the copy is worth it, the hole must travel with the sample.
                         let mut marked = *message;
@@ -63,7 +71,7 @@ fn body<S: Stage>(process: &Process) -> Result<StageReport, Failure> {
         if process.stop.requested() {
             return Err(Failure::Stopped);
         }
-        pulse.progress(input.received(), None);
+        pulse.progress(input.received(), None, || meter.take(output.dropped(), input.missing()));
     }
     stage.finish(&mut |out| relay.send(&mut output, out));
     relay.check()?;
@@ -93,6 +101,8 @@ struct Relay {
     restarts: u32,
     error: Option<Failure>,
     last_seq: u64,
+    /// True once a sample was passed on.
+    flowing: bool,
     /// What is replayed, to name it in an error; `None` for a live graph.
     replayed: Option<String>,
 }
@@ -100,7 +110,7 @@ struct Relay {
 impl Relay {
     fn new(process: &Process) -> Self {
         let replayed = (process.graph.mode == Mode::Replay).then(|| process.recording());
-        Self { restarts: process.restarts, error: None, last_seq: 0, replayed }
+        Self { restarts: process.restarts, error: None, last_seq: 0, flowing: false, replayed }
     }
 
     fn send<W: Wire>(&mut self, output: &mut Output<W>, message: &W) {
@@ -126,6 +136,11 @@ impl Relay {
             marked.header_mut().restarts += self.restarts;
             output.send(&marked)
         };
+        if self.restarts > 0 && !self.flowing && result.is_ok() {
+            self.flowing = true;
+            output.flush();
+            Event::Flowing { at_ns: monotonic_ns() }.emit();
+        }
         self.error = result.err();
     }
 

@@ -1,161 +1,31 @@
-//! Typed edges on the bus.
-//!
-//! Facts this rests on (measured with iceoryx2 0.10): the default edge drops silently; a struct is
-//! recognised by name, size and alignment only; a writer that starts before its reader sends into the void;
-//! a killed reader blocks a waiting writer until somebody cleans up after it; notifications coalesce, so a
-//! reader must drain before it waits.
+//! The writing end of a topic.
 
+use super::{Envelope, Factory, OPEN_TIMEOUT, STALL_TIMEOUT, open_topic, open_wake};
 use crate::clock::monotonic_ns;
 use crate::domain::Domain;
 use crate::process::{Failure, Stop};
-use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
-use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::port::{BackpressureAction, SendError};
 use iceoryx2::prelude::*;
-use iceoryx2::sample::Sample;
-use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
-use iceoryx2::service::port_factory::{event, publish_subscribe};
 use lacuna_interfaces::graph::{GraphFile, Mode};
 use lacuna_interfaces::wire::MAX_HOPS;
 use lacuna_interfaces::{Wire, flag};
-use std::any::TypeId;
-use std::collections::HashMap;
-use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
-/// How long ports may take to come up, and how long a reader may hold back its writer in a replay.
-const OPEN_TIMEOUT: Duration = Duration::from_secs(10);
-const STALL_TIMEOUT: Duration = Duration::from_secs(60);
+/// How long a live writer waits for readers before its first sample. All were ready when the stream was let go, so
+/// one that is missing has died since; the others must not wait for it.
+const LIVE_CONNECT: Duration = Duration::from_millis(100);
+/// How often a live writer says again that the stream is over: a reader may have been started again since.
+const END_AGAIN: Duration = Duration::from_millis(20);
 /// A blocked writer yields so often, then sleeps between looks.
 const BLOCKED_YIELDS: u64 = 4;
 /// A writer wakes its readers at the latest after this many samples.
 const NOTIFY_EVERY: u32 = 64;
 
-/// A message as the bus sees it: the wire type under its name with the layout hash.
-#[repr(transparent)]
-#[derive(Debug, Clone, Copy)]
-pub struct Envelope<W: Wire>(pub W);
-
-#[expect(unsafe_code, reason = "the bus's marker trait; the promise is that of Wire")]
-// SAFETY: Wire promises repr(C) plain data without pointers, and Envelope is transparent over it.
-unsafe impl<W: Wire> ZeroCopySend for Envelope<W> {
-    unsafe fn type_name() -> &'static str {
-        static NAMES: OnceLock<Mutex<HashMap<TypeId, &'static str>>> = OnceLock::new();
-        let mut names = NAMES.get_or_init(Mutex::default).lock().unwrap_or_else(|e| e.into_inner());
-        // One small leak per message type and process: the bus wants a static name.
-        names.entry(TypeId::of::<W>()).or_insert_with(|| Box::leak(W::type_name().into_boxed_str()))
-    }
-}
-
-type Factory<W> = publish_subscribe::PortFactory<ipc::Service, Envelope<W>, ()>;
-
-fn service_name(text: &str) -> Result<ServiceName, Failure> {
-    text.try_into().map_err(|e| Failure::run(format!("\"{text}\" is not usable as a topic name: {e:?}")))
-}
-
-/// Type name of the message that `topic` carries, once somebody has opened it.
-pub fn topic_type(topic: &str) -> Option<String> {
-    let name = service_name(topic).ok()?;
-    let details = ipc::Service::details(&name, Config::global_config(), MessagingPattern::PublishSubscribe).ok()??;
-    Some(details.static_details.publish_subscribe().message_type_details().payload.type_name().to_string())
-}
-
-/// Retries `open` while the bus is busy creating or removing the service; any other error is final.
-fn open_topic<W: Wire>(domain: &Domain, graph: &GraphFile, topic: &str) -> Result<Factory<W>, Failure> {
-    let name = service_name(topic)?;
-    let readers = graph.readers(topic).count();
-    // A live reader or writer that was killed holds its place until it is cleaned up.
-    let spare = if graph.mode == Mode::Live { 2 } else { 0 };
-    let started = Instant::now();
-    loop {
-        let result = domain
-            .node()
-            .service_builder(&name)
-            .publish_subscribe::<Envelope<W>>()
-            .enable_safe_overflow(false)
-            .history_size(0)
-            .subscriber_max_buffer_size(graph.buffer)
-            .subscriber_max_borrowed_samples(2)
-            .max_publishers(1 + spare)
-            .max_subscribers((readers + spare).max(1))
-            .max_nodes(readers + 2 + 2 * spare)
-            .open_or_create();
-        let error = match result {
-            Ok(factory) => return Ok(factory),
-            Err(e) => e,
-        };
-        if let PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
-            PublishSubscribeOpenError::IncompatibleTypes,
-        ) = error
-        {
-            let other = topic_type(topic).unwrap_or_else(|| "another message".to_owned());
-            return Err(Failure::usage(format!(
-                "topic \"{topic}\": this stage speaks {}, the topic carries {other}; expected the same message and layout on both sides",
-                W::type_name()
-            )));
-        }
-        if started.elapsed() > OPEN_TIMEOUT {
-            return Err(Failure::run(format!("topic \"{topic}\": cannot be opened on the bus: {error:?}")));
-        }
-        std::thread::sleep(Duration::from_millis(5));
-    }
-}
-
-fn open_wake(domain: &Domain, node: &str) -> Result<event::PortFactory<ipc::Service>, Failure> {
-    let name = service_name(&format!("wake/{node}"))?;
-    let started = Instant::now();
-    loop {
-        match domain
-            .node()
-            .service_builder(&name)
-            .event()
-            .max_listeners(4)
-            .max_notifiers(32)
-            .max_nodes(36)
-            .open_or_create()
-        {
-            Ok(factory) => return Ok(factory),
-            Err(e) if started.elapsed() > OPEN_TIMEOUT => {
-                return Err(Failure::run(format!("wake-up of node \"{node}\": cannot be opened on the bus: {e:?}")));
-            }
-            Err(_) => std::thread::sleep(Duration::from_millis(5)),
-        }
-    }
-}
-
 /// How long a blocked writer sleeps: what a reader takes for a quarter of the buffer at a million samples a second.
 fn blocked_pause(buffer: usize) -> Duration {
     Duration::from_micros((buffer as u64 / 4).clamp(10, 200))
-}
-
-/// The bell that writers ring for one reading node.
-#[derive(Debug)]
-pub struct Wake {
-    listener: Listener<ipc::Service>,
-}
-
-impl Wake {
-    /// Opens the bell of `node`.
-    ///
-    /// # Errors
-    /// [`Failure`] if the bus refuses.
-    pub fn open(domain: &Domain, node: &str) -> Result<Self, Failure> {
-        let listener = open_wake(domain, node)?
-            .listener_builder()
-            .create()
-            .map_err(|e| Failure::run(format!("wake-up of node \"{node}\": {e:?}")))?;
-        Ok(Self { listener })
-    }
-
-    /// Sleeps until a writer rings, a signal arrives or `timeout` passes. Drain the inputs before and after.
-    pub fn wait(&self, timeout: Duration) {
-        // An interrupt is a signal; the caller looks at its stop flag next. Other errors end as a timeout.
-        if self.listener.timed_wait(|_| {}, timeout).is_err() {
-            std::thread::sleep(Duration::from_micros(100));
-        }
-    }
 }
 
 /// The writing end of a topic.
@@ -245,14 +115,14 @@ impl<W: Wire> Output<W> {
         self.factory.dynamic_config().number_of_subscribers()
     }
 
-    /// Waits until all readers of the graph are connected. Live writers go on after two seconds.
+    /// Waits until all readers of the graph are connected; a live writer does not wait long.
     fn connect(&mut self) -> Result<(), Failure> {
         let started = Instant::now();
         while self.readers() < self.expected {
             if self.stop.requested() {
                 return Err(Failure::Stopped);
             }
-            let limit = if self.mode == Mode::Live { Duration::from_secs(2) } else { OPEN_TIMEOUT };
+            let limit = if self.mode == Mode::Live { LIVE_CONNECT } else { OPEN_TIMEOUT };
             if started.elapsed() > limit {
                 if self.mode == Mode::Live {
                     break;
@@ -375,7 +245,13 @@ impl<W: Wire> Output<W> {
             }
         }
         self.ring();
+        let mut said = Instant::now();
         while self.readers() > 0 {
+            if self.mode == Mode::Live && said.elapsed() > END_AGAIN {
+                said = Instant::now();
+                self.deliver(&end)?;
+                self.ring();
+            }
             if self.stop.requested() {
                 return Err(Failure::Stopped);
             }
@@ -390,97 +266,5 @@ impl<W: Wire> Output<W> {
             std::thread::sleep(Duration::from_millis(1));
         }
         Ok(())
-    }
-}
-
-/// A sample in shared memory, or the end of the stream.
-pub enum Received<W: Wire> {
-    /// A sample; `missing` samples before it were lost (always 0 in a replay).
-    Sample {
-        /// The message, still in shared memory.
-        sample: Sample<ipc::Service, Envelope<W>, ()>,
-        /// Samples lost before it.
-        missing: u64,
-    },
-    /// The sentinel: nothing comes after it.
-    End,
-}
-
-/// The reading end of a topic. Dropping it after [`Received::End`] tells the writer that all was taken.
-pub struct Input<W: Wire> {
-    topic: String,
-    port: Subscriber<ipc::Service, Envelope<W>, ()>,
-    mode: Mode,
-    last_seq: Option<u64>,
-    received: u64,
-    missing: u64,
-}
-
-impl<W: Wire> Input<W> {
-    /// Opens the reading end of `topic`.
-    ///
-    /// # Errors
-    /// [`Failure`] if the topic carries another message, or the bus refuses.
-    pub fn open(domain: &Domain, graph: &GraphFile, topic: &str) -> Result<Self, Failure> {
-        let port = open_topic::<W>(domain, graph, topic)?
-            .subscriber_builder()
-            .buffer_size(graph.buffer)
-            .create()
-            .map_err(|e| Failure::run(format!("topic \"{topic}\": cannot read from it: {e:?}")))?;
-        Ok(Self { topic: topic.to_owned(), port, mode: graph.mode, last_seq: None, received: 0, missing: 0 })
-    }
-
-    /// Topic name.
-    pub fn topic(&self) -> &str {
-        &self.topic
-    }
-
-    /// Samples received so far.
-    pub fn received(&self) -> u64 {
-        self.received
-    }
-
-    /// Samples missing in the sequence so far.
-    pub fn missing(&self) -> u64 {
-        self.missing
-    }
-
-    /// Next sample, if one is there.
-    ///
-    /// # Errors
-    /// [`Failure`] on a hole in a replay's sequence, or if the bus fails.
-    pub fn receive(&mut self) -> Result<Option<Received<W>>, Failure> {
-        loop {
-            let sample = self
-                .port
-                .receive()
-                .map_err(|e| Failure::run(format!("topic \"{}\": cannot receive: {e:?}", self.topic)))?;
-            let Some(sample) = sample else { return Ok(None) };
-            let header = sample.payload().0.header();
-            let (seq, end) = (header.seq, header.has(flag::END_OF_STREAM));
-            // A replay begins at 1; a live reader may join later.
-            let expected = match (self.last_seq, self.mode) {
-                (Some(last), _) => last + 1,
-                (None, Mode::Replay) => 1,
-                (None, Mode::Live) => seq,
-            };
-            if seq < expected {
-                continue;
-            }
-            let missing = seq - expected;
-            if missing > 0 && self.mode == Mode::Replay {
-                return Err(Failure::run(format!(
-                    "topic \"{}\": sample {seq} came where {expected} was expected; {missing} samples were lost",
-                    self.topic
-                )));
-            }
-            self.missing += missing;
-            self.last_seq = Some(seq);
-            if end {
-                return Ok(Some(Received::End));
-            }
-            self.received += 1;
-            return Ok(Some(Received::Sample { sample, missing }));
-        }
     }
 }

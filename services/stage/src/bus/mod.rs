@@ -1,0 +1,149 @@
+//! Typed edges on the bus.
+//!
+//! Facts this rests on (measured with iceoryx2 0.10): the default edge drops silently; a struct is
+//! recognised by name, size and alignment only; a writer that starts before its reader sends into the void;
+//! a killed reader blocks a waiting writer until somebody cleans up after it; notifications coalesce, so a
+//! reader must drain before it waits.
+
+mod input;
+mod output;
+
+pub use input::{Input, Received};
+pub use output::Output;
+
+use crate::domain::Domain;
+use crate::process::Failure;
+use iceoryx2::port::listener::Listener;
+use iceoryx2::prelude::*;
+use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
+use iceoryx2::service::port_factory::{event, publish_subscribe};
+use lacuna_interfaces::Wire;
+use lacuna_interfaces::graph::{GraphFile, Mode};
+use std::any::TypeId;
+use std::collections::HashMap;
+use std::sync::{Mutex, OnceLock};
+use std::time::{Duration, Instant};
+
+/// How long ports may take to come up, and how long a reader may hold back its writer in a replay.
+const OPEN_TIMEOUT: Duration = Duration::from_secs(10);
+const STALL_TIMEOUT: Duration = Duration::from_secs(60);
+
+/// A message as the bus sees it: the wire type under its name with the layout hash.
+#[repr(transparent)]
+#[derive(Debug, Clone, Copy)]
+pub struct Envelope<W: Wire>(pub W);
+
+#[expect(unsafe_code, reason = "the bus's marker trait; the promise is that of Wire")]
+// SAFETY: Wire promises repr(C) plain data without pointers, and Envelope is transparent over it.
+unsafe impl<W: Wire> ZeroCopySend for Envelope<W> {
+    unsafe fn type_name() -> &'static str {
+        static NAMES: OnceLock<Mutex<HashMap<TypeId, &'static str>>> = OnceLock::new();
+        let mut names = NAMES.get_or_init(Mutex::default).lock().unwrap_or_else(|e| e.into_inner());
+        // One small leak per message type and process: the bus wants a static name.
+        names.entry(TypeId::of::<W>()).or_insert_with(|| Box::leak(W::type_name().into_boxed_str()))
+    }
+}
+
+type Factory<W> = publish_subscribe::PortFactory<ipc::Service, Envelope<W>, ()>;
+
+fn service_name(text: &str) -> Result<ServiceName, Failure> {
+    text.try_into().map_err(|e| Failure::run(format!("\"{text}\" is not usable as a topic name: {e:?}")))
+}
+
+/// Type name of the message that `topic` carries, once somebody has opened it.
+pub fn topic_type(topic: &str) -> Option<String> {
+    let name = service_name(topic).ok()?;
+    let details = ipc::Service::details(&name, Config::global_config(), MessagingPattern::PublishSubscribe).ok()??;
+    Some(details.static_details.publish_subscribe().message_type_details().payload.type_name().to_string())
+}
+
+/// Retries `open` while the bus is busy creating or removing the service; any other error is final.
+fn open_topic<W: Wire>(domain: &Domain, graph: &GraphFile, topic: &str) -> Result<Factory<W>, Failure> {
+    let name = service_name(topic)?;
+    let readers = graph.readers(topic).count();
+    // A live reader or writer that was killed holds its place until it is cleaned up.
+    let spare = if graph.mode == Mode::Live { 2 } else { 0 };
+    let started = Instant::now();
+    loop {
+        let result = domain
+            .node()
+            .service_builder(&name)
+            .publish_subscribe::<Envelope<W>>()
+            .enable_safe_overflow(false)
+            .history_size(0)
+            .subscriber_max_buffer_size(graph.buffer)
+            .subscriber_max_borrowed_samples(2)
+            .max_publishers(1 + spare)
+            .max_subscribers((readers + spare).max(1))
+            .max_nodes(readers + 2 + 2 * spare)
+            .open_or_create();
+        let error = match result {
+            Ok(factory) => return Ok(factory),
+            Err(e) => e,
+        };
+        if let PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
+            PublishSubscribeOpenError::IncompatibleTypes,
+        ) = error
+        {
+            let other = topic_type(topic).unwrap_or_else(|| "another message".to_owned());
+            return Err(Failure::usage(format!(
+                "topic \"{topic}\": this stage speaks {}, the topic carries {other}; expected the same message and layout on both sides",
+                W::type_name()
+            )));
+        }
+        if started.elapsed() > OPEN_TIMEOUT {
+            return Err(Failure::run(format!("topic \"{topic}\": cannot be opened on the bus: {error:?}")));
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+fn open_wake(domain: &Domain, node: &str) -> Result<event::PortFactory<ipc::Service>, Failure> {
+    let name = service_name(&format!("wake/{node}"))?;
+    let started = Instant::now();
+    loop {
+        match domain
+            .node()
+            .service_builder(&name)
+            .event()
+            .max_listeners(4)
+            .max_notifiers(32)
+            .max_nodes(36)
+            .open_or_create()
+        {
+            Ok(factory) => return Ok(factory),
+            Err(e) if started.elapsed() > OPEN_TIMEOUT => {
+                return Err(Failure::run(format!("wake-up of node \"{node}\": cannot be opened on the bus: {e:?}")));
+            }
+            Err(_) => std::thread::sleep(Duration::from_millis(5)),
+        }
+    }
+}
+
+/// The bell that writers ring for one reading node.
+#[derive(Debug)]
+pub struct Wake {
+    listener: Listener<ipc::Service>,
+}
+
+impl Wake {
+    /// Opens the bell of `node`.
+    ///
+    /// # Errors
+    /// [`Failure`] if the bus refuses.
+    pub fn open(domain: &Domain, node: &str) -> Result<Self, Failure> {
+        let listener = open_wake(domain, node)?
+            .listener_builder()
+            .create()
+            .map_err(|e| Failure::run(format!("wake-up of node \"{node}\": {e:?}")))?;
+        Ok(Self { listener })
+    }
+
+    /// Sleeps until a writer rings, a signal arrives or `timeout` passes. Drain the inputs before and after.
+    pub fn wait(&self, timeout: Duration) {
+        // An interrupt is a signal; the caller looks at its stop flag next. Other errors end as a timeout.
+        if self.listener.timed_wait(|_| {}, timeout).is_err() {
+            std::thread::sleep(Duration::from_micros(100));
+        }
+    }
+}

@@ -28,7 +28,7 @@ pub enum Stress {
     StartOrder,
     /// A busy thread for every processor.
     Hog,
-    /// All of these.
+    /// Edges that hold 16 messages, stops, any start order, busy processors: all at once.
     Everything,
 }
 
@@ -111,8 +111,14 @@ enum Outcome {
 /// The replay graph with small buffers or a slow recorder.
 fn graph_text(text: &str, stress: Stress) -> String {
     let mut text = text.to_owned();
-    if matches!(stress, Stress::BufferOfOne | Stress::Everything) {
-        text = text.replacen("mode = \"replay\"\n", "mode = \"replay\"\nbuffer = 1\n", 1);
+    let buffer = match stress {
+        Stress::BufferOfOne => Some(1),
+        // With one message beside busy processors every sample would wait for a dozen time slices.
+        Stress::Everything => Some(16),
+        _ => None,
+    };
+    if let Some(n) = buffer {
+        text = text.replacen("mode = \"replay\"\n", &format!("mode = \"replay\"\nbuffer = {n}\n"), 1);
     }
     if stress == Stress::SlowReader {
         text = text.replacen("compression = \"${compression}\" }", "compression = \"zstd\", level = 12 }", 1);

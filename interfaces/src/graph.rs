@@ -29,7 +29,7 @@ pub enum Restart {
     Never,
     /// After a failure (live graphs only: a replay is a transaction).
     OnFailure,
-    /// Whenever it ends before the run does (live graphs only).
+    /// Whenever it ends before what it reads does (live graphs only); a source that reached its end stays ended.
     Always,
 }
 

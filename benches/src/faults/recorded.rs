@@ -55,7 +55,7 @@ pub fn check(
     files.sort_by_key(|f| f.raw.first().copied().unwrap_or(u64::MAX));
     let mut found = Recorded::default();
     for file in &files {
-        count_holes(file, setup, &mut found, problems);
+        count_holes(file, setup.options.rate_hz, &mut found, problems);
     }
     let clock = Clock { began_ns: report["began_ns"].as_u64().unwrap_or(0), rate_hz: setup.options.rate_hz };
     let down = Downtimes::of(kills, report);
@@ -120,7 +120,7 @@ fn within(spans: &[(f64, f64)], at: f64, before: f64, after: f64) -> bool {
 }
 
 /// Holes within a file: their length, their flag, and whether the file's own count knows them.
-fn count_holes(file: &File, setup: &Setup<'_>, found: &mut Recorded, problems: &mut Vec<String>) {
+fn count_holes(file: &File, rate_hz: f64, found: &mut Recorded, problems: &mut Vec<String>) {
     let mut missing = file.last.first().map_or(0, |(seq, _)| seq - 1);
     for pair in file.last.windows(2) {
         let [(before, _), (after, flags)] = pair else { continue };
@@ -128,7 +128,7 @@ fn count_holes(file: &File, setup: &Setup<'_>, found: &mut Recorded, problems: &
             missing += after - before - 1;
             found.holes += 1;
             found.flagged += u64::from(flags & GAP != 0);
-            found.outages_ms.push((after - before) as f64 * 1e3 / setup.options.rate_hz);
+            found.outages_ms.push((after - before) as f64 * 1e3 / rate_hz);
             if flags & GAP == 0 {
                 problems.push(format!("sample {after} of the last stream follows {before} without the flag \"gap\""));
             }
@@ -247,4 +247,41 @@ fn status(data: &[u8]) -> Option<(u64, u32)> {
     let seq = u64::from_le_bytes(body.get(at..at + 8)?.try_into().ok()?);
     let flags = u32::from_le_bytes(body.get(at + 8..at + 12)?.try_into().ok()?);
     Some((seq, flags))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const CLOCK: Clock = Clock { began_ns: 10_000_000_000, rate_hz: 1000.0 };
+
+    /// Sample k is due at 10 000 + k − 1 ms.
+    fn missing(gone: std::ops::Range<u64>, down: &Downtimes) -> [u64; 3] {
+        let raw: Vec<u64> = (1..=5000).filter(|seq| !gone.contains(seq)).collect();
+        let mut found = Recorded::default();
+        explain_missing(&raw, 5000, down, &CLOCK, &mut found);
+        [found.unpublished, found.recorder_down, found.unexplained]
+    }
+
+    #[test]
+    fn a_hole_needs_a_reason() {
+        let nobody = Downtimes { source: vec![], recorder: vec![] };
+        assert_eq!(missing(0..0, &nobody), [0, 0, 0]);
+        assert_eq!(missing(2000..2001, &nobody), [0, 0, 1]);
+        let source = Downtimes { source: vec![(12_000.0, 12_050.0)], recorder: vec![] };
+        assert_eq!(missing(2001..2051, &source), [50, 0, 0]);
+        assert_eq!(missing(2001..2061, &source), [50, 0, 10], "what came due after the restart must be there");
+        let recorder = Downtimes { source: vec![], recorder: vec![(13_000.0, 13_030.0)] };
+        assert_eq!(missing(2600..3031, &recorder), [0, 431, 0]);
+        assert_eq!(missing(2300..3031, &recorder)[2], 51, "the flush interval reaches back no further");
+    }
+
+    #[test]
+    fn a_hole_without_a_flag_is_found() {
+        let file = File { last: vec![(1, 0), (2, 0), (5, GAP), (6, 0), (9, 0)], ..File::default() };
+        let mut found = Recorded::default();
+        let mut problems = Vec::new();
+        count_holes(&file, 1000.0, &mut found, &mut problems);
+        assert_eq!((found.holes, found.flagged, problems.len()), (2, 1, 1), "{problems:?}");
+    }
 }

@@ -134,3 +134,24 @@ impl Event {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn orders_survive_their_line() {
+        for order in [Order::Go(123), Order::Ended("t0".to_owned())] {
+            assert_eq!(Order::parse(&order.line()), Some(order));
+        }
+        for line in ["", "go", "go x", "go 1 2", "ended", "stop"] {
+            assert_eq!(Order::parse(line), None, "{line}");
+        }
+    }
+
+    #[test]
+    fn lines_of_other_makes_need_no_gauge() {
+        let event: Event = serde_json::from_str("{\"event\":\"progress\",\"samples\":3,\"fraction\":null}").unwrap();
+        assert_eq!(event, Event::Progress { samples: 3, fraction: None, gauge: Gauge::default() });
+    }
+}

@@ -156,7 +156,9 @@ impl Writer {
         let io = |action, source| WriteError::Io { path: path.clone(), action, source };
         let readable = File::open(&path).map_err(|e| io("read back", e))?;
         let (front, pool) = Front::new(options);
-        let back = Back::start(path.clone(), (file, readable), profile, options, pool.give_back)?;
+        let back = Back::start(path.clone(), (file, readable), profile, options, pool.give_back)
+            // A full disk: an empty file is no recording.
+            .inspect_err(|_| drop(std::fs::remove_file(&path)))?;
         let front = Arc::new(Mutex::new(front));
         let shared = Arc::clone(&front);
         let flush = options.flush.max(Duration::from_millis(1));

@@ -51,7 +51,7 @@ impl Variant {
     }
 
     fn name(self) -> String {
-        let mut parts = vec![if self.hog { "busy processors" } else { "idle" }.to_owned()];
+        let mut parts = vec![if self.hog { "busy processors" } else { "nothing" }.to_owned()];
         parts.extend(self.priority.map(|p| format!("SCHED_FIFO {p}")));
         parts.extend(self.pinned.then(|| "pinned".to_owned()));
         parts.join(", ")

@@ -1,6 +1,7 @@
 //! A live graph over a long time: memory and open files of every process, and the counts at the end.
 
 use crate::balance::{self, Edge};
+use crate::chain::remaining;
 use crate::faults::kill;
 use crate::{BenchError, beside, motion};
 use lacuna_interfaces::graph::GraphFile;
@@ -87,6 +88,10 @@ pub fn run(launch: &Path, rate_hz: f64, seconds: f64, progress: &mut dyn FnMut(&
         if p.files[1] > p.files[0] {
             problems.push(format!("{}: open files grew from {} to {}", p.node, p.files[0], p.files[1]));
         }
+    }
+    let left = report["run"].as_str().map_or(1, remaining);
+    if left > 0 {
+        problems.push(format!("{left} files were left in /dev/shm"));
     }
     let restarts = report["restarts"].as_u64().unwrap_or(0);
     if restarts > 0 {

@@ -64,7 +64,7 @@ pub struct NodeStatus {
     /// Samples missing in what it reads.
     #[serde(default)]
     pub missing: u64,
-    /// All flags of the last half second or so.
+    /// All flags of the last five seconds or so.
     #[serde(default)]
     pub flags: u32,
     /// Latencies of the last half second or so (live).

@@ -49,7 +49,7 @@ struct Look {
     schema: &'static str,
     #[serde(flatten)]
     run: RunStatus,
-    /// Flags of the last half second by node, in words.
+    /// Flags of the last five seconds or so by node, in words.
     flags: Vec<(String, Vec<&'static str>)>,
 }
 

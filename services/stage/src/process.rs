@@ -121,6 +121,8 @@ impl Process {
             .find(|n| n.name == args.node)
             .cloned()
             .ok_or_else(|| Failure::usage(format!("--node {}: the graph has no such node", args.node)))?;
+        // Before all else that takes time: a restart beside busy processors must be quick as well.
+        crate::realtime::apply(&node)?;
         let robot = lacuna_recording::load_robot(&graph.robot)?;
         let (model, model_text) = if graph.model.is_empty() {
             (None, None)

@@ -150,7 +150,6 @@ fn body<S: Sink>(process: &Process) -> Result<StageReport, Failure> {
         mode: process.graph.mode,
     };
     let mut sink = S::new(process.config()?, &context)?;
-    crate::realtime::apply(&process.node)?;
     Event::Ready.emit();
 
     let mut report = StageReport::default();

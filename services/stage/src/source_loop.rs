@@ -59,7 +59,6 @@ fn body<S: Source>(process: &Process) -> Result<StageReport, Failure> {
         .as_deref()
         .ok_or_else(|| Failure::usage(format!("node \"{}\": found no output; expected one", process.node.name)))?;
     let mut output = Output::<S::Output>::open(&domain, &process.graph, topic, &process.stop)?;
-    crate::realtime::apply(&process.node)?;
     Event::Ready.emit();
     let start = process.wait_for_go();
 

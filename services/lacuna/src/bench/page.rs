@@ -85,7 +85,7 @@ fn conditions<R>(out: &mut String, d: &Document<R>) {
 
 fn problems(out: &mut String, list: &[&String]) {
     if list.is_empty() {
-        let _ = writeln!(out, "\nNothing was left behind: no process, no file in shared memory; no count disagreed.");
+        let _ = writeln!(out, "\nNothing was left behind in shared memory, and no count disagrees with another.");
     }
     for what in list {
         let _ = writeln!(out, "\n**Not as it should be:** {what}");

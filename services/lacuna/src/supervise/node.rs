@@ -15,6 +15,8 @@ use std::time::{Duration, Instant};
 
 /// A node that lasted this long was well; what happens to it next is a new story.
 const WELL: Duration = Duration::from_secs(1);
+/// How long flags are shown.
+const REMEMBER: Duration = Duration::from_secs(5);
 /// The pause before a restart doubles this often at most.
 const MOST_DOUBLINGS: u32 = 6;
 
@@ -28,6 +30,9 @@ pub(super) struct NodeState {
     pub rate_hz: f64,
     rated: (Instant, u64),
     pub gauge: Gauge,
+    /// All flags of the last [`REMEMBER`] or less, and since when: a viewer must not miss an alarm of a moment.
+    pub flags: u32,
+    flags_since: Instant,
     /// Counts of the processes of this node that died, as they last reported them.
     pub carried: Gauge,
     pub restarts: u32,
@@ -52,6 +57,8 @@ impl NodeState {
             rate_hz: 0.0,
             rated: (Instant::now(), 0),
             gauge: Gauge::default(),
+            flags: 0,
+            flags_since: Instant::now(),
             carried: Gauge::default(),
             restarts: 0,
             quick_deaths: 0,
@@ -136,6 +143,10 @@ impl NodeState {
             self.rated = (Instant::now(), samples);
         }
         self.samples = samples;
+        if self.flags_since.elapsed() > REMEMBER {
+            (self.flags, self.flags_since) = (0, Instant::now());
+        }
+        self.flags |= gauge.flags;
         self.gauge = gauge;
     }
 
@@ -188,5 +199,45 @@ pub(super) fn describe(status: ExitStatus) -> String {
         (Some(s), _) => format!("was killed by signal {s}"),
         (None, Some(code)) => format!("exited with code {code} without a reason"),
         (None, None) => "ended".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lacuna_interfaces::graph::GraphFile;
+
+    fn node(restart: &str, inputs: &str) -> Node {
+        let text = format!(
+            "name = \"g\"\nmode = \"live\"\n[[node]]\nname = \"n\"\nexec = \"x\"\nrestart = \"{restart}\"\ninputs = [{inputs}]\n"
+        );
+        GraphFile::parse(&text).unwrap().nodes.remove(0)
+    }
+
+    #[test]
+    fn who_is_started_again() {
+        let again = |restart: &str, inputs: &str, fine, stopping| {
+            NodeState::new().again(&node(restart, inputs), fine, stopping)
+        };
+        let (stage, source) = ("\"t\"", "");
+        assert!(!again("never", stage, false, false));
+        assert!(again("on-failure", stage, false, false) && !again("on-failure", stage, true, false));
+        assert!(again("always", stage, true, false) && !again("always", stage, true, true));
+        // While a graph is being stopped its stages still drain it; its sources have nothing more to do.
+        assert!(again("on-failure", stage, false, true) && !again("on-failure", source, false, true));
+        assert!(!again("always", source, true, false), "a source that reached its end has ended");
+    }
+
+    #[test]
+    fn pauses_grow_only_while_a_node_dies_young() {
+        let spec = node("on-failure", "");
+        let mut state = NodeState::new();
+        let mut pause = || {
+            state.plan_restart(&spec);
+            state.restart_at.unwrap().saturating_duration_since(Instant::now()).as_millis()
+        };
+        let pauses: Vec<u128> = (0..9).map(|_| pause()).collect();
+        assert!(pauses[0] <= 5 && pauses[3] > 30 && pauses[8] <= 320 && pauses[8] > 300, "{pauses:?}");
+        assert_eq!(state.restarts, 9);
     }
 }

@@ -51,7 +51,7 @@ impl Supervisor<'_> {
             rate_hz: s.rate_hz,
             dropped: s.carried.dropped + s.gauge.dropped,
             missing: s.carried.missing + s.gauge.missing,
-            flags: s.gauge.flags,
+            flags: s.flags,
             latency: s.gauge.latency.clone(),
             fault: s.faults.last().map(|f| f.reason.clone()),
         });

@@ -13,6 +13,7 @@ pub mod replay;
 mod round;
 
 use crate::{BenchError, motion};
+use lacuna_interfaces::graph::GraphFile;
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 use round::Round;
@@ -116,6 +117,7 @@ pub fn run(launch: &Path, options: &Options, progress: &mut dyn FnMut(&str)) -> 
     std::fs::write(dir.path().join("model.toml"), motion::MODEL)?;
     let samples = (options.rate_hz * options.round_s) as u64;
     motion::write_csv(&dir.path().join("run.csv"), samples, options.rate_hz)?;
+    let nodes = nodes_of(&launch.join("live.toml"))?;
     let mut random = Pcg64::seed_from_u64(options.seed);
     let mut rounds: Vec<Round> = Vec::new();
     let mut killed = 0;
@@ -123,7 +125,7 @@ pub fn run(launch: &Path, options: &Options, progress: &mut dyn FnMut(&str)) -> 
         progress(&format!("round {}: {killed} of {} kills", rounds.len() + 1, options.kills));
         let folder = dir.path().join(format!("round{}", rounds.len()));
         std::fs::create_dir(&folder)?;
-        let setup = round::Setup { launch, files: dir.path(), folder: &folder, samples, options };
+        let setup = round::Setup { launch, files: dir.path(), nodes: &nodes, folder: &folder, samples, options };
         let round = round::run(&setup, options.kills - killed, &mut random)?;
         if round.kills.is_empty() {
             return Err("a round ended without a kill; expected rounds of several seconds".into());
@@ -133,6 +135,13 @@ pub fn run(launch: &Path, options: &Options, progress: &mut dyn FnMut(&str)) -> 
         std::fs::remove_dir_all(&folder)?;
     }
     Ok(sum(options, &rounds, samples))
+}
+
+/// Names of the nodes of a launch file; at least one.
+fn nodes_of(path: &Path) -> Result<Vec<String>, BenchError> {
+    let graph = GraphFile::parse(&std::fs::read_to_string(path)?)?;
+    let names: Vec<String> = graph.nodes.into_iter().map(|n| n.name).collect();
+    if names.is_empty() { Err(format!("{}: found no node", path.display()).into()) } else { Ok(names) }
 }
 
 fn sum(options: &Options, rounds: &[Round], samples: u64) -> Campaign {

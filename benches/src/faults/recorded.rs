@@ -135,7 +135,9 @@ fn count_holes(file: &File, rate_hz: f64, found: &mut Recorded, problems: &mut V
         }
     }
     if let Some(said) = &file.said {
-        let count: u64 = said.get("missing.payload").and_then(|n| n.parse().ok()).unwrap_or(0);
+        // What is missing early in the chain is missing in every stream after it.
+        let counts = said.iter().filter(|(key, _)| key.starts_with("missing."));
+        let count: u64 = counts.filter_map(|(_, n)| n.parse().ok()).max().unwrap_or(0);
         if count != missing {
             problems
                 .push(format!("the file says that {count} samples of its last stream are missing; found {missing}"));

@@ -1,6 +1,5 @@
 //! Kills in a replay: the run fails with one line that names the process, and leaves nothing that looks complete.
 
-use super::round::NODES;
 use super::{kill, recorded};
 use crate::chain::remaining;
 use crate::{BenchError, beside, motion};
@@ -43,8 +42,9 @@ pub fn run(launch: &Path, kills: usize, seed: u64, progress: &mut dyn FnMut(&str
     motion::write_csv(&file("run.csv"), SAMPLES, 1000.0)?;
     let mut random = Pcg64::seed_from_u64(seed);
     let mut all = Replays { kills: 0, too_late: 0, one_line: 0, incomplete: 0, without_file: 0, problems: Vec::new() };
+    let nodes = super::nodes_of(&launch.join("replay.toml"))?;
     for turn in 0..kills {
-        let node = NODES[turn % NODES.len()];
+        let node = &nodes[turn % nodes.len()];
         progress(&format!("replay {} of {kills}: {node}", turn + 1));
         let out = file(&format!("run{turn}.mcap"));
         once(launch, dir.path(), &out, node, &mut random, &mut all)?;

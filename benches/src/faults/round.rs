@@ -11,7 +11,6 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-pub const NODES: [&str; 6] = ["source", "smoother", "torque", "friction", "payload", "recorder"];
 /// How long a killed node may take to have a process again before that counts as a problem.
 const BACK: Duration = Duration::from_secs(5);
 /// Pauses between kills [ms]: the graph is whole again in between.
@@ -23,6 +22,8 @@ pub struct Setup<'a> {
     pub launch: &'a Path,
     /// Folder with robot, model and recording.
     pub files: &'a Path,
+    /// Nodes of the graph.
+    pub nodes: &'a [String],
     /// Folder of this round.
     pub folder: &'a Path,
     pub samples: u64,
@@ -61,7 +62,7 @@ pub fn run(setup: &Setup<'_>, most: usize, random: &mut Pcg64) -> Result<Round, 
         .spawn()?;
     let mut graph = Graph { child, kills: Vec::new(), problems: Vec::new(), most };
     let began = Instant::now();
-    graph.kill_at_start(random);
+    graph.kill_at_start(setup.nodes, random);
     if let Err(what) = graph.wait_running() {
         graph.problems.push(what);
     }
@@ -72,7 +73,7 @@ pub fn run(setup: &Setup<'_>, most: usize, random: &mut Pcg64) -> Result<Round, 
         if began.elapsed().as_secs_f64() > until {
             break;
         }
-        graph.kill_running(random);
+        graph.kill_running(setup.nodes, random);
     }
     graph.end(setup, &out)
 }
@@ -89,8 +90,8 @@ impl Graph {
     }
 
     /// One process of a graph that is still starting, somewhere between its first instruction and "go".
-    fn kill_at_start(&mut self, random: &mut Pcg64) {
-        let node = NODES[random.random_range(0..NODES.len())];
+    fn kill_at_start(&mut self, nodes: &[String], random: &mut Pcg64) {
+        let node = &nodes[random.random_range(0..nodes.len())];
         let Some(pid) = kill::wait_for(self.child.id(), node, None, BACK) else { return };
         std::thread::sleep(Duration::from_micros(random.random_range(0..30_000)));
         self.kill(node, pid, true, false);
@@ -111,9 +112,9 @@ impl Graph {
         Err("the graph was not running after 20 s".to_owned())
     }
 
-    fn kill_running(&mut self, random: &mut Pcg64) {
+    fn kill_running(&mut self, nodes: &[String], random: &mut Pcg64) {
         let supervisor = self.child.id();
-        let node = NODES[random.random_range(0..NODES.len())];
+        let node = &nodes[random.random_range(0..nodes.len())];
         let Some(pid) = kill::pid_of(supervisor, node) else {
             self.problems.push(format!("{node}: had no process when it was to be killed"));
             return;
@@ -158,7 +159,7 @@ impl Graph {
         left_behind(name.as_deref(), &pids, &mut problems);
         let report: Value = serde_json::from_slice(&output.stdout).unwrap_or_default();
         let mut kills = self.kills;
-        time_kills(&mut kills, &report, &mut problems);
+        time_kills(setup.nodes, &mut kills, &report, &mut problems);
         let files = recordings(out)?;
         let recorded = recorded::check(setup, &files, &kills, &report, &mut problems)?;
         let lost = report["lost"].as_u64().unwrap_or(0);
@@ -213,11 +214,11 @@ fn left_behind(run: Option<&str>, pids: &[(u32, String)], problems: &mut Vec<Str
 }
 
 /// Holds the kills against the faults the supervisor saw: the k-th kill of a node is its k-th fault.
-fn time_kills(kills: &mut [Kill], report: &Value, problems: &mut Vec<String>) {
+fn time_kills(nodes: &[String], kills: &mut [Kill], report: &Value, problems: &mut Vec<String>) {
     let faults = report["faults"].as_array().cloned().unwrap_or_default();
-    for node in NODES {
-        let of_node: Vec<&Value> = faults.iter().filter(|f| f["node"] == node).collect();
-        let killed: Vec<&mut Kill> = kills.iter_mut().filter(|k| k.node == node).collect();
+    for node in nodes {
+        let of_node: Vec<&Value> = faults.iter().filter(|f| f["node"] == node.as_str()).collect();
+        let killed: Vec<&mut Kill> = kills.iter_mut().filter(|k| k.node == *node).collect();
         if of_node.len() != killed.len() {
             let why: Vec<&str> = of_node.iter().filter_map(|f| f["reason"].as_str()).collect();
             problems.push(format!(

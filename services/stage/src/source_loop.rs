@@ -68,11 +68,7 @@ fn body<S: Source>(process: &Process) -> Result<StageReport, Failure> {
     let mut flowing = process.restarts == 0;
     // A stop request ends the stream here; the sentinel then ends it everywhere, in order.
     while !process.stop.requested() {
-        let next = match first.take() {
-            None => source.next_sample()?,
-            some => some,
-        };
-        let Some(mut sample) = next else { break };
+        let Some(mut sample) = first.take().map_or_else(|| source.next_sample(), |s| Ok(Some(s)))? else { break };
         sample.header_mut().restarts = process.restarts;
         if let Some(due) = source.due_ns(&sample) {
             sleep_until(start + due, &mut output, process);

@@ -74,6 +74,15 @@ fn body<S: Stage>(process: &Process) -> Result<StageReport, Failure> {
     }
     stage.finish(&mut |out| relay.send(&mut output, out));
     relay.check()?;
+    let report = account(process, &input, &output)?;
+    // Letting go of the input tells the writer that the sentinel was taken.
+    drop(input);
+    output.finish(relay.last_seq + 1, joints)?;
+    Ok(report)
+}
+
+/// The final counts; in a replay they must agree.
+fn account<I: Wire, O: Wire>(process: &Process, input: &Input<I>, output: &Output<O>) -> Result<StageReport, Failure> {
     let report = StageReport {
         received: [(input.topic().to_owned(), input.received())].into(),
         published: output.published(),
@@ -89,9 +98,6 @@ fn body<S: Stage>(process: &Process) -> Result<StageReport, Failure> {
             report.published
         )));
     }
-    // Letting go of the input tells the writer that the sentinel was taken.
-    drop(input);
-    output.finish(relay.last_seq + 1, joints)?;
     Ok(report)
 }
 

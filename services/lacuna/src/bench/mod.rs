@@ -142,12 +142,7 @@ pub fn bench(args: &BenchArgs) -> CommandResult {
         What::Memory { samples } => {
             let rows = memory::run(launch, 60_000, *samples, &mut progress).map_err(fail)?;
             drop(spinner);
-            run.rows("memory", &rows, |r| {
-                format!(
-                    "{:<10} {:>7.1} MiB after 60000 samples, {:>7.1} MiB after {samples}",
-                    r.node, r.short_mib, r.long_mib
-                )
-            })
+            run.rows("memory", &rows, |r| words::memory_line(r, *samples))
         }
         What::Faults { kills, replays, rate, round, seed } => {
             let options = faults::Options { kills: *kills, rate_hz: *rate, round_s: *round, seed: *seed };
@@ -165,12 +160,7 @@ pub fn bench(args: &BenchArgs) -> CommandResult {
         }
         What::Report { files, write } => {
             drop(spinner);
-            let text = page::of_files(files)?;
-            match write {
-                Some(path) => crate::words::write(path, text.as_bytes())?,
-                None => crate::words::say(&text)?,
-            }
-            Ok(ExitCode::SUCCESS)
+            page::make(files, write.as_deref())
         }
         What::Soak { minutes, rate } => {
             let soak = soak::run(launch, *rate, minutes * 60.0, &mut progress).map_err(fail)?;

@@ -1,6 +1,7 @@
 //! docs/RELIABILITY.md, from the JSON of the benchmarks.
 
 use super::words::Faults;
+use crate::{CommandResult, words};
 use lacuna_benches::conditions::Document;
 use lacuna_benches::faults::Times;
 use lacuna_benches::{latency, soak, stress, throughput};
@@ -10,6 +11,7 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 
 /// One benchmark's document of whatever kind.
 enum Part {
@@ -20,8 +22,18 @@ enum Part {
     Soak(Document<soak::Soak>),
 }
 
+/// `lacuna bench report`: writes the page, or prints it.
+pub fn make(files: &[PathBuf], write: Option<&Path>) -> CommandResult {
+    let text = of_files(files)?;
+    match write {
+        Some(path) => words::write(path, text.as_bytes())?,
+        None => words::say(&text)?,
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
 /// The page.
-pub fn of_files(files: &[PathBuf]) -> Result<String, Failure> {
+fn of_files(files: &[PathBuf]) -> Result<String, Failure> {
     let mut parts = files.iter().map(|f| read(f)).collect::<Result<Vec<_>, _>>()?;
     parts.sort_by_key(|p| match p {
         Part::Faults(_) => 0,

@@ -2,7 +2,7 @@
 
 use lacuna_benches::faults::replay::Replays;
 use lacuna_benches::faults::{Campaign, Times};
-use lacuna_benches::{latency, soak, stress, throughput};
+use lacuna_benches::{latency, memory, soak, stress, throughput};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 
@@ -66,6 +66,10 @@ pub fn latency_line(r: &latency::Row) -> String {
         "{:>6} Hz  {:<38} {:<46} p50 {p50:>8.1}  p99 {p99:>8.1}  p99.9 {p999:>8.1}  max {max:>8.1} µs  {} dropped",
         r.rate_hz, r.load, r.hop, r.dropped
     )
+}
+
+pub fn memory_line(r: &memory::Row, samples: u64) -> String {
+    format!("{:<10} {:>7.1} MiB after 60000 samples, {:>7.1} MiB after {samples}", r.node, r.short_mib, r.long_mib)
 }
 
 pub fn stress_lines(r: &stress::Row) -> String {

@@ -6,6 +6,7 @@ use lacuna_interfaces::graph::GraphFile;
 use lacuna_tests::{Bench, Chain, bin, error_line, report, wait_for, workspace};
 use rustix::process::{Pid, Signal, geteuid, kill_process};
 use serde_json::Value;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -361,7 +362,7 @@ fn priority_and_processors_are_what_the_graph_says_or_an_error() {
 #[test]
 fn top_shows_a_running_graph_without_touching_it() {
     let bench = Bench::new();
-    let chain = Chain { mode: "live", samples: 6_000, paced_hz: Some(2000.0), ..Chain::default() };
+    let chain = Chain { mode: "live", samples: 10_000, paced_hz: Some(2000.0), ..Chain::default() };
     bench.write("g.toml", &chain.toml(relay));
     let run = bench.up("g.toml", &[]);
     let name = run.wait_running()["run"].as_str().expect("run").to_owned();
@@ -379,7 +380,32 @@ fn top_shows_a_running_graph_without_touching_it() {
     let out = bench.lacuna(&["top", &name]);
     assert_eq!(out.status.code(), Some(2), "not a terminal");
     assert!(error_line(&out).contains("terminal"));
+    terminal_view(&name);
     assert_eq!(report(&run.output())["lost"], 0);
     let after: Value = serde_json::from_slice(&bench.lacuna(&["top", &name, "--json"]).stdout).expect("JSON");
     assert_eq!(after["state"], "done");
+}
+
+/// `lacuna top` on a terminal: draws, and leaves at the key `q` with the terminal as it was.
+fn terminal_view(run: &str) {
+    let command = format!("stty rows 24 cols 150; {} top {run}", bin("lacuna").display());
+    let started = Command::new("script")
+        .args(["-qec", &command, "/dev/null"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn();
+    let Ok(mut child) = started else {
+        eprintln!("SKIPPED: lacuna top on a terminal: no `script` to make one");
+        return;
+    };
+    std::thread::sleep(Duration::from_millis(700));
+    let mut keys = child.stdin.take().expect("keys");
+    keys.write_all(b"q").expect("key");
+    let out = child.wait_with_output().expect("script ends");
+    drop(keys);
+    let text = String::from_utf8_lossy(&out.stdout).into_owned();
+    assert!(out.status.success() && text.contains("relay2"), "{text}");
+    let (enter, leave) = (text.find("\u{1b}[?1049h"), text.find("\u{1b}[?1049l"));
+    assert!(enter.is_some() && enter < leave, "{text}");
 }

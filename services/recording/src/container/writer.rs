@@ -13,6 +13,7 @@ use lacuna_interfaces::BadInput;
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
@@ -304,7 +305,8 @@ impl Drop for Writer {
 
 fn create_file(path: &Path, overwrite: bool) -> Result<File, WriteError> {
     let mut options = OpenOptions::new();
-    options.write(true);
+    // A recording is its owner's, as the bus is; whoever may see it is for the owner to say.
+    options.write(true).mode(0o600);
     if overwrite {
         options.create(true).truncate(true);
     } else {

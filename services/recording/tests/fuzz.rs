@@ -14,6 +14,7 @@ use lacuna_interfaces::{BadInput, ModelFile, RobotFile};
 use lacuna_recording::container::WriterOptions;
 use lacuna_recording::{open, recover};
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Which seed; edits as (place, kind, value); where to cut.
 type Mutation = (u8, Vec<(u16, u8, u8)>, Option<u16>);
@@ -44,7 +45,7 @@ const WORDS: [&str; 20] = [
 
 /// Memory an input of a few kilobytes may take, whatever it claims: a chunk of a recording at its largest, twice.
 const BUDGET: u64 = 160 << 20;
-const ITERATIONS: usize = 400;
+const ITERATIONS: usize = 3000;
 
 fn mutate(seeds: &[Vec<u8>], (seed, edits, cut): &Mutation) -> Vec<u8> {
     let mut bytes = seeds[usize::from(*seed) % seeds.len()].clone();
@@ -72,13 +73,29 @@ fn mutate(seeds: &[Vec<u8>], (seed, edits, cut): &Mutation) -> Vec<u8> {
     bytes
 }
 
-/// Reads within the budget; an error is one line.
-fn judge<T>(read: impl FnOnce() -> Result<T, BadInput>) {
-    let mut line = None;
-    let spent = measure(|| line = read().err().map(|e| e.to_string()));
-    assert!(spent.bytes_max <= BUDGET, "{} bytes", spent.bytes_max);
-    if let Some(line) = line {
-        assert!(!line.is_empty() && !line.contains('\n'), "{line:?}");
+/// What became of the inputs of one target.
+#[derive(Default)]
+struct Judge {
+    taken: AtomicUsize,
+    refused: AtomicUsize,
+}
+
+impl Judge {
+    /// Reads within the budget; an error is one line.
+    fn judge<T>(&self, read: impl FnOnce() -> Result<T, BadInput>) {
+        let mut line = None;
+        let spent = measure(|| line = read().err().map(|e| e.to_string()));
+        assert!(spent.bytes_max <= BUDGET, "{} bytes", spent.bytes_max);
+        if let Some(line) = &line {
+            assert!(!line.is_empty() && !line.contains('\n'), "{line:?}");
+        }
+        if line.is_some() { &self.refused } else { &self.taken }.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Mutations that all pass, or all fail at the first byte, test nothing.
+    fn saw_both(&self) {
+        let [taken, refused] = [&self.taken, &self.refused].map(|n| n.load(Ordering::Relaxed));
+        assert!(taken > ITERATIONS / 200 && refused > ITERATIONS / 10, "{taken} taken, {refused} refused");
     }
 }
 
@@ -105,10 +122,12 @@ fn fuzz_csv() {
     let dir = folder();
     let path = dir.path().join("a.csv");
     let seeds = [csv(&motion(30)).into_bytes(), b"t,q1,q2,tau1,tau2\n0,1,2,3,4\n0.001,1,2,3,4\n".to_vec()];
+    let seen = Judge::default();
     check!().with_iterations(ITERATIONS).with_type::<Mutation>().for_each(|m| {
         std::fs::write(&path, mutate(&seeds, m)).expect("file");
-        judge(|| play(&path));
+        seen.judge(|| play(&path));
     });
+    seen.saw_both();
 }
 
 #[test]
@@ -123,13 +142,15 @@ fn fuzz_mcap() {
         bytes
     });
     let options = WriterOptions { overwrite: true, sync: None, ..WriterOptions::default() };
+    let seen = Judge::default();
     check!().with_iterations(ITERATIONS).with_type::<Mutation>().for_each(|m| {
         std::fs::write(&path, mutate(&seeds, m)).expect("file");
-        judge(|| play(&path));
+        seen.judge(|| play(&path));
         if let Err(e) = recover(&path, &to, &options) {
             assert!(!e.to_string().contains('\n'), "{e}");
         }
     });
+    seen.saw_both();
 }
 
 const DELTA: &str = "kind = \"delta\"\nname = \"d\"\n[geometry]\nl1 = 0.35\nl2 = 0.88\nra = 0.2\nrb = 0.05\n[mass]\nplatform = 1.1\n\
@@ -141,25 +162,29 @@ inertia = [0.1, 0.0, 0.0, 0.1, 0.0, 0.1]\n";
 #[test]
 fn fuzz_robot() {
     let seeds = [DELTA, SERIAL].map(|t| t.as_bytes().to_vec());
+    let seen = Judge::default();
     check!().with_iterations(2 * ITERATIONS).with_type::<Mutation>().for_each(|m| {
         let text = text(&mutate(&seeds, m));
         // A robot file that passes must also make a robot, or be refused in words.
-        judge(|| RobotFile::parse(&text).and_then(|r| lacuna_physics::build(&r, None)));
+        seen.judge(|| RobotFile::parse(&text).and_then(|r| lacuna_physics::build(&r, None)));
     });
+    seen.saw_both();
 }
 
 #[test]
 fn fuzz_model() {
     let seeds = [b"schema = \"lacuna.model/1\"\nrobot = \"d\"\n[rigid_body]\nrho1 = 1.1\nrho2 = 1.05\n[friction]\nf_v = [0.5, 0.5, 0.5]\nf_c = [1.5, 1.5, 1.5]\n".to_vec()];
     let robot = RobotFile::parse(DELTA).expect("robot");
+    let seen = Judge::default();
     check!().with_iterations(2 * ITERATIONS).with_type::<Mutation>().for_each(|m| {
         let text = text(&mutate(&seeds, m));
-        judge(|| {
+        seen.judge(|| {
             let model = ModelFile::parse(&text)?;
             model.check(&robot)?;
             model.to_toml().map(|_| ())
         });
     });
+    seen.saw_both();
 }
 
 #[test]
@@ -168,10 +193,12 @@ fn fuzz_graph() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../launch/{name}.toml"));
         std::fs::read(path).expect("launch file")
     });
+    let seen = Judge::default();
     check!().with_iterations(2 * ITERATIONS).with_type::<Mutation>().for_each(|m| {
         let text = text(&mutate(&seeds, m));
-        judge(|| GraphFile::parse(&text).and_then(|g| g.resolve(&[("out".to_owned(), "x.mcap".to_owned())])));
+        seen.judge(|| GraphFile::parse(&text).and_then(|g| g.resolve(&[("out".to_owned(), "x.mcap".to_owned())])));
     });
+    seen.saw_both();
 }
 
 #[test]
@@ -184,8 +211,10 @@ fn fuzz_urdf() {
         .to_vec()];
     let file = "kind = \"serial\"\nname = \"r\"\nurdf = \"r.urdf\"\njoints = [\"a\", \"b\"]\n";
     let robot = RobotFile::parse(file).expect("robot");
+    let seen = Judge::default();
     check!().with_iterations(2 * ITERATIONS).with_type::<Mutation>().for_each(|m| {
         let text = text(&mutate(&seeds, m));
-        judge(|| lacuna_physics::build(&robot, Some(&text)));
+        seen.judge(|| lacuna_physics::build(&robot, Some(&text)));
     });
+    seen.saw_both();
 }

@@ -8,6 +8,7 @@
 //! report says so. A prismatic joint's `q_rad` is in metres and its `tau_nm` in newtons.
 
 pub mod error;
+pub mod ethercat;
 pub mod graph;
 pub mod model;
 pub mod recording;

@@ -16,6 +16,10 @@ pub enum RepairKind {
     TruncatedTail,
     /// Samples are missing (a time gap); nothing was filled in.
     Gap,
+    /// Bus cycles without process data of all drives; nothing was filled in.
+    MissingCycle,
+    /// A fieldbus datagram came back with too low a working counter: a drive did not answer, its cycle was left out.
+    WorkingCounter,
 }
 
 /// A counted repair of one recording.

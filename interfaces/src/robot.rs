@@ -4,6 +4,7 @@
 //! path or `[[dh]]` rows (classic: Rz(q + offset) Tz(d) Tx(a) Rx(alpha)). SI units; `alpha_deg` alone is in
 //! degrees because leg directions are written that way.
 
+use crate::ethercat::Ethercat;
 use crate::{BadInput, MAX_JOINTS};
 use serde::{Deserialize, Serialize};
 
@@ -272,6 +273,8 @@ pub struct RobotFile {
     /// Tolerances of the nominal values.
     #[serde(default)]
     pub tolerance: Tolerance,
+    /// Where a capture of the fieldbus holds the drives' signals.
+    pub ethercat: Option<Ethercat>,
 }
 
 impl RobotFile {
@@ -333,7 +336,7 @@ impl RobotFile {
                 return Err(BadInput::new(format!("{key}: found {v}; expected a fraction from 0 to below 1")));
             }
         }
-        Ok(())
+        self.ethercat.as_ref().map_or(Ok(()), |table| table.validate(self))
     }
 
     fn validate_delta(&self, n: usize) -> Result<(), BadInput> {

@@ -19,6 +19,8 @@ pub fn repair(kind: RepairKind) -> &'static str {
         RepairKind::DuplicateStamp => "repeated stamp dropped",
         RepairKind::TruncatedTail => "row cut off in mid-write dropped",
         RepairKind::Gap => "gap in time, nothing filled in",
+        RepairKind::MissingCycle => "bus cycle missing, nothing filled in",
+        RepairKind::WorkingCounter => "cycle left out, working counter too low",
     }
 }
 

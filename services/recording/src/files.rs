@@ -1,5 +1,6 @@
 //! Robot, model and graph files from disk, with the file's name in every error.
 
+use crate::ethercat;
 use lacuna_interfaces::graph::GraphFile;
 use lacuna_interfaces::{BadInput, ModelFile, RobotFile};
 use std::fs::File;
@@ -52,15 +53,20 @@ pub(crate) fn open_error(path: &Path, error: &std::io::Error) -> BadInput {
     BadInput::new(what).in_file(path)
 }
 
-/// Reads a robot file and the URDF it names (a path relative to the robot file).
+/// Reads a robot file and the URDF it names (a path relative to the robot file). Names in its `[ethercat]` table are
+/// looked up in the ENI file beside it and become addresses.
 ///
 /// # Errors
 /// [`BadInput`] with file and line.
 pub fn load_robot(path: impl AsRef<Path>) -> Result<LoadedRobot, BadInput> {
     let path = path.as_ref();
     let toml = read_text(path)?;
-    let file = RobotFile::parse(&toml).map_err(|e| e.in_file(path))?;
-    let urdf_path = file.urdf.as_ref().map(|urdf| path.parent().unwrap_or(Path::new("")).join(urdf));
+    let mut file = RobotFile::parse(&toml).map_err(|e| e.in_file(path))?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    if let Some(table) = &file.ethercat {
+        file.ethercat = Some(ethercat::resolve(table, folder, file.joint_count())?);
+    }
+    let urdf_path = file.urdf.as_ref().map(|urdf| folder.join(urdf));
     let urdf = urdf_path.as_deref().map(read_text).transpose()?;
     Ok(LoadedRobot { file, urdf, toml, path: path.to_path_buf(), urdf_path })
 }

@@ -11,6 +11,7 @@
 
 pub mod condition;
 pub mod container;
+pub mod ethercat;
 pub mod files;
 pub mod formats;
 mod reader;

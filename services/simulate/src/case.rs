@@ -182,6 +182,7 @@ fn empty(kind: Kind, name: &str, joints: Vec<String>) -> RobotFile {
         columns: Default::default(),
         limits: Limits::default(),
         tolerance: Tolerance::default(),
+        ethercat: None,
     }
 }
 

@@ -28,7 +28,7 @@ use std::fs::File;
 use std::io::Read;
 
 /// The registry's line.
-pub const FORMAT: Format = Format { name: "csv", extensions: &["csv", "tsv", "txt"], sniff: |_| false, open };
+pub const FORMAT: Format = Format { name: "csv", extensions: &["csv", "tsv", "txt"], exact: true, sniff: None, open };
 
 fn open(request: &Request<'_>) -> Result<Box<dyn RawReader>, BadInput> {
     let file = File::open(request.path).map_err(|e| open_error(request.path, &e))?;

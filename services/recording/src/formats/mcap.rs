@@ -21,7 +21,8 @@ use crate::{ReadOptions, TimeSource};
 use lacuna_interfaces::{BadInput, JointMeasured, Joints, MAX_JOINTS, Repair, RepairKind, RobotFile, flag};
 
 /// The registry's line.
-pub const FORMAT: Format = Format { name: "mcap", extensions: &["mcap"], sniff: |b| b.starts_with(mcap::MAGIC), open };
+pub const FORMAT: Format =
+    Format { name: "mcap", extensions: &["mcap"], exact: true, sniff: Some(|b| b.starts_with(mcap::MAGIC)), open };
 
 fn open(request: &Request<'_>) -> Result<Box<dyn RawReader>, BadInput> {
     let topics = Topics::choose(channels_of(request.path)?, request.options)?;

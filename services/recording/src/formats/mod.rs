@@ -1,5 +1,6 @@
 //! The registry of log formats: one file and one line each.
 
+mod capture;
 mod csv;
 mod mcap;
 mod rows;
@@ -27,15 +28,17 @@ pub struct Format {
     pub name: &'static str,
     /// File name extensions, lower case, without the dot.
     pub extensions: &'static [&'static str],
-    /// Recognises a file by its first bytes; a format without a signature says `false`.
-    pub sniff: fn(&[u8]) -> bool,
+    /// Whether numbers come back as they were written; a capture holds counts.
+    pub exact: bool,
+    /// Recognises a file by its first bytes, if the format has a signature.
+    pub sniff: Option<fn(&[u8]) -> bool>,
     /// Opens a recording.
     pub open: fn(&Request<'_>) -> Result<Box<dyn RawReader>, BadInput>,
 }
 
 /// All formats. To add one: write its file, add its line, and run the conformance suite
 /// (`tests/conformance.rs`) over it.
-pub const FORMATS: &[Format] = &[mcap::FORMAT, csv::FORMAT];
+pub const FORMATS: &[Format] = &[mcap::FORMAT, csv::FORMAT, capture::FORMAT];
 
 /// Longest signature a format may look at [bytes].
 pub const SNIFF_BYTES: usize = 16;
@@ -45,7 +48,7 @@ pub const SNIFF_BYTES: usize = 16;
 /// # Errors
 /// [`BadInput`] listing the known formats.
 pub fn detect(path: &Path, first_bytes: &[u8]) -> Result<&'static Format, BadInput> {
-    if let Some(format) = FORMATS.iter().find(|f| (f.sniff)(first_bytes)) {
+    if let Some(format) = FORMATS.iter().find(|f| f.sniff.is_some_and(|sniff| sniff(first_bytes))) {
         return Ok(format);
     }
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or("").to_ascii_lowercase();
@@ -53,9 +56,10 @@ pub fn detect(path: &Path, first_bytes: &[u8]) -> Result<&'static Format, BadInp
     let by_name = FORMATS.iter().find(|f| f.extensions.contains(&extension.as_str()));
     // A signature outranks the name: an .mcap without one is not an MCAP file, whatever it is called.
     match by_name {
-        Some(format) if format.name != mcap::FORMAT.name => Ok(format),
-        Some(_) => {
-            Err(BadInput::new("found no MCAP signature in the first bytes; expected an MCAP file").in_file(path))
+        Some(format) if format.sniff.is_none() => Ok(format),
+        Some(format) => {
+            let what = format!("found no {} signature in the first bytes; expected what the name says", format.name);
+            Err(BadInput::new(what).in_file(path))
         }
         None => {
             let found = if first_bytes.starts_with(b"#ROSBAG") {

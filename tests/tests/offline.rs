@@ -290,7 +290,8 @@ fn info_says_what_is_in_a_csv() {
     for part in ["1000 samples", "1000 Hz", "Gaps: 1", "x_load", "repeated stamp dropped"] {
         assert!(words.contains(part), "\"{part}\" belongs in:\n{words}");
     }
-    refused(&bench.lacuna(&["info", "run.csv"]), &["run.csv", "--robot"]);
+    let words = ok(&bench.lacuna(&["info", "run.csv"]));
+    assert!(words.contains("rows of t, q1") && words.contains("Needs a robot file"), "{words}");
     refused(&bench.lacuna(&["info", "absent.csv"]), &["absent.csv", "no such file"]);
     bench.write("picture.png", "png");
     refused(&bench.lacuna(&["info", "picture.png"]), &["picture.png", ".png"]);

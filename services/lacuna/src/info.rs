@@ -1,6 +1,7 @@
 //! `lacuna info`: what is in a recording.
 
 use crate::progress::Progress;
+use crate::survey::{Surveyed, survey_of, survey_words};
 use crate::{CommandResult, words};
 use clap::Args;
 use lacuna_interfaces::{BadInput, MAX_JOINTS, Repair, RobotFile, flag};
@@ -17,9 +18,9 @@ use std::process::ExitCode;
 
 #[derive(Args)]
 pub struct InfoArgs {
-    /// Recording: CSV, MCAP, or a ROS 2 bag folder.
+    /// Recording: CSV, MCAP, a ROS 2 bag folder, or a capture of EtherCAT traffic.
     file: PathBuf,
-    /// Robot file; a CSV needs one, of an MCAP it also shows the joints' signals.
+    /// Robot file: shows the joints' signals. Without it, what is in the file and what it would need.
     #[arg(long, value_name = "FILE")]
     robot: Option<PathBuf>,
     /// Topic of the joint signals in an MCAP. Default: its only one, /measured or /joint_states.
@@ -39,6 +40,8 @@ struct Info {
     container: Option<Container>,
     #[serde(skip_serializing_if = "Option::is_none")]
     recording: Option<Contents>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    survey: Option<Surveyed>,
 }
 
 /// An MCAP file, without knowledge of its messages.
@@ -113,19 +116,20 @@ pub fn info(args: &InfoArgs) -> CommandResult {
             Some(contents(&args.file, args.topic.clone(), &robot, &progress)?)
         }
         (None, Some(_)) => None,
-        (None, None) => {
-            let what = "found a recording without topics; expected --robot FILE, which says what its columns are";
-            return Err(BadInput::new(what).in_file(&args.file).into());
-        }
+        (None, None) => None,
     };
+    let survey = if args.robot.is_none() { lacuna_recording::survey(&args.file)?.map(|s| survey_of(&s)) } else { None };
     drop(progress);
-    let info = Info { schema: "lacuna.info/1", file: args.file.display().to_string(), container, recording };
+    let info = Info { schema: "lacuna.info/1", file: args.file.display().to_string(), container, recording, survey };
     if args.json {
         words::print_json(&info)?;
     } else {
         let mut text = format!("{}\n", info.file);
         if let Some(c) = &info.container {
             text.push_str(&container_words(c));
+        }
+        if let Some(s) = &info.survey {
+            text.push_str(&survey_words(s));
         }
         if let Some(r) = &info.recording {
             text.push_str(&contents_words(r));

@@ -16,6 +16,7 @@ mod recover;
 mod runs;
 mod simulate;
 mod supervise;
+mod survey;
 mod top;
 mod words;
 

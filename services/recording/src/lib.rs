@@ -17,9 +17,11 @@ pub mod formats;
 mod reader;
 pub mod ros;
 mod sample;
+pub mod survey;
 pub mod topics;
 
 pub use container::{FileInfo, Recovered, inspect, recover};
 pub use files::{LoadedRobot, load_graph, load_model, load_robot};
 pub use reader::{EPOCH_FROM_S, MAX_VALUES, ReadOptions, Reader, TimeSource, open, open_with, read_all, read_all_with};
 pub use sample::{About, RawReader, Sample};
+pub use survey::{Survey, survey};

@@ -184,6 +184,20 @@ fn other_traffic_and_short_captures_are_refused_in_words() {
     assert!(refused(&wifi).contains("link type 105; expected 1, Ethernet"));
 }
 
+#[test]
+fn a_survey_lists_the_process_data() {
+    use lacuna_recording::{Survey, survey};
+    let Some(Survey::Bus(bus)) = survey(&data("drives.pcapng")).unwrap() else { panic!("not a bus") };
+    assert_eq!((bus.frames, bus.ethercat), (1 + 2 * 59, 2 * 59));
+    let (first, last) = bus.stamps_ns.unwrap();
+    assert_eq!(last - first, 59_000_000 + 5_000_000 + 37_000);
+    let seen: Vec<_> =
+        bus.datagrams.iter().map(|d| (d.command.name(), d.address, d.bytes, d.working_counter)).collect();
+    assert_eq!(seen, [("FPRD", 1002 | 0x1100 << 16, 2, 1), ("LRW", 0x0100_0000, 14, 6)]);
+    // 59 cycles were captured; in one of them drive 2 did not answer.
+    assert_eq!(bus.datagrams.iter().map(|d| (d.copies, d.returned)).collect::<Vec<_>>(), [(118, 59), (118, 58)]);
+}
+
 /// tshark's own dissector must see the same counts.
 #[test]
 fn tshark_reads_the_same() {

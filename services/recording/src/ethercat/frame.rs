@@ -49,6 +49,32 @@ impl From<u8> for Command {
 }
 
 impl Command {
+    /// Code of a process data command.
+    pub fn code(self) -> Option<u8> {
+        Some(match self {
+            Self::Fprd => 4,
+            Self::Fpwr => 5,
+            Self::Fprw => 6,
+            Self::Lrd => 10,
+            Self::Lwr => 11,
+            Self::Lrw => 12,
+            Self::Other(_) => return None,
+        })
+    }
+
+    /// Name as the standard has it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fprd => "FPRD",
+            Self::Fpwr => "FPWR",
+            Self::Fprw => "FPRW",
+            Self::Lrd => "LRD",
+            Self::Lwr => "LWR",
+            Self::Lrw => "LRW",
+            Self::Other(_) => "other",
+        }
+    }
+
     /// Whether the data that come back are the slaves'.
     pub fn reads(self) -> bool {
         matches!(self, Self::Fprd | Self::Fprw | Self::Lrd | Self::Lrw)

@@ -3,7 +3,8 @@
 mod capture;
 mod csv;
 mod mcap;
-mod rows;
+pub(crate) mod packets;
+pub(crate) mod rows;
 
 use crate::ReadOptions;
 use crate::sample::RawReader;

@@ -7,7 +7,7 @@ use std::io::Read;
 const MAX_LINE: usize = 1 << 20;
 
 /// A field without padding and quotes.
-pub(super) fn bare(field: &[u8]) -> &[u8] {
+pub(crate) fn bare(field: &[u8]) -> &[u8] {
     let trimmed = field.trim_ascii();
     match trimmed {
         [b'"', inner @ .., b'"'] => inner.trim_ascii(),
@@ -15,13 +15,13 @@ pub(super) fn bare(field: &[u8]) -> &[u8] {
     }
 }
 
-pub(super) fn parse_number(field: &[u8]) -> Option<f64> {
+pub(crate) fn parse_number(field: &[u8]) -> Option<f64> {
     std::str::from_utf8(field).ok()?.parse().ok()
 }
 
 /// A row's bytes, cut into fields.
 #[derive(Debug, Default)]
-pub(super) struct Row {
+pub(crate) struct Row {
     bytes: Vec<u8>,
     /// Where each field ends.
     ends: Vec<usize>,
@@ -31,7 +31,7 @@ pub(super) struct Row {
 
 impl Row {
     /// Reads the next row that is not blank; `false` at the end.
-    pub(super) fn read<R: Read>(&mut self, lines: &mut Lines<R>) -> Result<bool, BadInput> {
+    pub(crate) fn read<R: Read>(&mut self, lines: &mut Lines<R>) -> Result<bool, BadInput> {
         let line = lines.line + 1;
         let read = lines.next_line().map_err(|e| BadInput::new(format!("cannot be read: {e}")).at_line(line))?;
         let Some(line) = read else { return Ok(false) };
@@ -47,11 +47,11 @@ impl Row {
         Ok(true)
     }
 
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.ends.len()
     }
 
-    pub(super) fn get(&self, i: usize) -> Option<&[u8]> {
+    pub(crate) fn get(&self, i: usize) -> Option<&[u8]> {
         let end = *self.ends.get(i)?;
         let start = if i == 0 { 0 } else { self.ends.get(i - 1)? + 1 };
         self.bytes.get(start..end)
@@ -59,19 +59,19 @@ impl Row {
 
     /// Whether a row without a newline, which only the last one can be, stops in mid-write: short, or ending in
     /// what is not a number.
-    pub(super) fn looks_cut(&self, width: usize) -> bool {
+    pub(crate) fn looks_cut(&self, width: usize) -> bool {
         let last = self.get(self.len().saturating_sub(1)).map_or(&[][..], bare);
         self.len() < width || parse_number(last).is_none()
     }
 
-    pub(super) fn fields(&self) -> impl Iterator<Item = &[u8]> {
+    pub(crate) fn fields(&self) -> impl Iterator<Item = &[u8]> {
         (0..self.len()).map_while(|i| self.get(i))
     }
 }
 
 /// Splits bytes into lines, within a bound.
 #[derive(Debug)]
-pub(super) struct Lines<R> {
+pub(crate) struct Lines<R> {
     source: R,
     buffer: Vec<u8>,
     /// What of the buffer is read and not yet handed out.
@@ -79,20 +79,20 @@ pub(super) struct Lines<R> {
     /// Bytes taken from the source.
     taken: u64,
     /// Number of the line handed out last.
-    pub(super) line: u64,
+    pub(crate) line: u64,
     /// Whether it ended with a newline.
-    pub(super) terminated: bool,
+    pub(crate) terminated: bool,
 }
 
 const BLOCK: usize = 64 << 10;
 
 impl<R: Read> Lines<R> {
-    pub(super) fn new(source: R) -> Self {
+    pub(crate) fn new(source: R) -> Self {
         Self { source, buffer: vec![0; BLOCK], rest: 0..0, taken: 0, line: 0, terminated: true }
     }
 
     /// Bytes of the source that were handed out.
-    pub(super) fn used(&self) -> u64 {
+    pub(crate) fn used(&self) -> u64 {
         self.taken - self.rest.len() as u64
     }
 

@@ -11,6 +11,7 @@ mod identify;
 mod identify_report;
 mod info;
 mod progress;
+mod prove;
 mod recorded;
 mod recover;
 mod runs;
@@ -60,6 +61,8 @@ enum Command {
     Recover(recover::RecoverArgs),
     /// The paper's experiment on a simulated robot, through the real process graph.
     Demo(demo::DemoArgs),
+    /// Hold the diagnosis against answers that it has not seen.
+    Prove(prove::ProveArgs),
     /// Benchmarks, each with its baseline in the same run.
     Bench(bench::BenchArgs),
 }
@@ -78,6 +81,7 @@ fn main() -> ExitCode {
         Command::Info(args) => info::info(&args),
         Command::Recover(args) => recover::recover(&args),
         Command::Demo(args) => demo::demo(&args),
+        Command::Prove(args) => prove::prove(&args),
         Command::Bench(args) => bench::bench(&args),
     };
     match result {

@@ -1,6 +1,7 @@
 //! What the offline commands show while they work, on standard error and only if that is a terminal.
 
 use indicatif::{ProgressBar, ProgressStyle};
+use std::io::Write;
 use std::time::Duration;
 
 /// A progress bar with the step that is being done.
@@ -42,6 +43,18 @@ impl Progress {
         // A cast from f64 saturates; NaN is 0.
         self.bar.set_position((share.clamp(0.0, 1.0) * STEPS as f64) as u64);
         self.step(words);
+    }
+
+    /// Prints a line that stays: on standard output, or on standard error if that is kept for a result.
+    pub fn say(&self, line: &str, on_standard_error: bool) {
+        self.bar.suspend(|| {
+            // Whoever reads it may have gone away; the work goes on.
+            let _ = if on_standard_error {
+                writeln!(std::io::stderr(), "{line}")
+            } else {
+                writeln!(std::io::stdout(), "{line}")
+            };
+        });
     }
 }
 

@@ -7,6 +7,7 @@ use lacuna_interfaces::robot::Kind;
 use lacuna_interfaces::{BadInput, RobotFile};
 use lacuna_recording::files::read_text;
 use lacuna_simulate::demo::DEMO_ROBOT;
+use lacuna_simulate::output::robot_toml;
 use lacuna_simulate::{CaseOptions, Simulation, SimulationConfig, Truth, demo_delta, draw_case, simulate as run};
 use lacuna_stage::Failure;
 use serde::Serialize;
@@ -205,7 +206,7 @@ fn refuse_recordings(folder: &Path) -> Result<(), BadInput> {
 fn parts(args: &SimulateArgs) -> Result<(String, Option<String>, Vec<Part>), Failure> {
     if let Some(seed) = args.case {
         let case = draw_case(seed, &args.case_options.options())?;
-        let text = robot_text(&case.robot)?;
+        let text = robot_toml(&case.robot).map_err(|e| Failure::run(e.to_string()))?;
         let simulation = run(&case.robot, None, &case.config)?;
         return Ok((case.robot.name, Some(text), vec![Part { folder: "", simulation }]));
     }
@@ -238,17 +239,6 @@ fn config(args: &SimulateArgs, robot: &RobotFile) -> Result<SimulationConfig, Ba
         config.seed = seed;
     }
     Ok(config)
-}
-
-/// A drawn robot as a file that says the same.
-fn robot_text(robot: &RobotFile) -> Result<String, Failure> {
-    let text =
-        toml::to_string(robot).map_err(|e| Failure::run(format!("robot file cannot be written as TOML: {e}")))?;
-    match RobotFile::parse(&text) {
-        Ok(same) if same == *robot => Ok(text),
-        Ok(_) => Err(Failure::run("robot file: what was written does not read back as the same robot")),
-        Err(e) => Err(Failure::run(format!("robot file: what was written does not read back: {e}"))),
-    }
 }
 
 /// The truth of one simulation; of several, by the names of their folders.

@@ -115,6 +115,20 @@ pub fn write_csv(recording: &Recording, out: &mut impl Write) -> std::io::Result
     Ok(())
 }
 
+/// The text of a robot file that reads back as the same robot.
+///
+/// # Errors
+/// [`BadInput`] if it does not.
+pub fn robot_toml(robot: &RobotFile) -> Result<String, BadInput> {
+    let text =
+        toml::to_string(robot).map_err(|e| BadInput::new(format!("robot file cannot be written as TOML: {e}")))?;
+    match RobotFile::parse(&text) {
+        Ok(same) if same == *robot => Ok(text),
+        Ok(_) => Err(BadInput::new("robot file: what was written does not read back as the same robot")),
+        Err(e) => Err(BadInput::new(format!("robot file: what was written does not read back: {e}"))),
+    }
+}
+
 fn push_number(line: &mut String, value: Option<&f64>) {
     use std::fmt::Write as _;
     if let Some(v) = value {

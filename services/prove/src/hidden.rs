@@ -90,11 +90,15 @@ impl Hidden {
             also_accept: e.also_accept,
             rms_nm: None,
         });
+        let carried = key.events.iter().flat_map(|(file, events)| {
+            let loads = events.iter().filter(|e| e.kind == "payload");
+            loads.filter_map(move |e| Some((file.clone(), e.t_on?, e.t_off?, e.mass?)))
+        });
         Ok(Self {
             effects: effects.collect(),
             frictionless: key.base == "ideal",
             oracle_rms_nm: key.oracle.from_csv_rms,
-            carried: Vec::new(),
+            carried: carried.collect(),
         })
     }
 }
@@ -104,6 +108,16 @@ struct Key {
     base: String,
     effects: Vec<KeyEffect>,
     oracle: KeyOracle,
+    #[serde(default)]
+    events: BTreeMap<String, Vec<KeyEvent>>,
+}
+
+#[derive(Deserialize)]
+struct KeyEvent {
+    kind: String,
+    t_on: Option<f64>,
+    t_off: Option<f64>,
+    mass: Option<f64>,
 }
 
 #[derive(Deserialize)]

@@ -43,6 +43,9 @@ pub fn prove(options: &Options, watcher: &mut dyn Watcher) -> Result<Section, Er
     for recording in &demo.pick_place.recordings {
         files.push(write(&folder, CARRIED, recording)?);
     }
+    if let Some(test) = demo.test_motion() {
+        write(&place.folder("held_back")?, "v_f.csv", test)?;
+    }
     watcher.at(0.2, "diagnosing with M_KH alone");
     let out = place.folder("findings")?;
     let answered = options.diagnosis.run(&folder, "robot.toml", &files, &out)?;

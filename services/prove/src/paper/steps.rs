@@ -35,6 +35,8 @@ pub struct Steps {
 
 /// Speed above which a sample counts [rad/s].
 const MOVING: f64 = 0.05;
+/// Left out at both ends, where filter and differentiator have no neighbours [s].
+const EDGE_S: f64 = 0.3;
 /// Friction is a ramp below this speed [rad/s].
 const RAMP: f64 = 0.02;
 
@@ -87,9 +89,12 @@ fn errors(demo: &Demo, said: &Said, model: &ModelFile, recording: &Recording, ca
     let friction = joint_torque(&fitted, &all, true)?;
     let load = if carried { payload(demo, said, &motion)? } else { vec![vec![0.0; motion.t_s.len()]; 3] };
     let with_load = friction.iter().zip(&load).map(|(a, b)| a.iter().zip(b).map(|(x, y)| x + y).collect()).collect();
+    let ends = (motion.t_s.first().copied().unwrap_or(0.0), motion.t_s.last().copied().unwrap_or(0.0));
+    let (from, to) = (ends.0 + EDGE_S, ends.1 - EDGE_S);
     let error = |model: &Vec<Vec<f64>>| -> Vec<Vec<f64>> {
         let joint = |j: usize| {
-            let moving = (0..motion.t_s.len()).filter(|&k| motion.qd[j][k].abs() > MOVING);
+            let inner = |k: &usize| motion.t_s[*k] > from && motion.t_s[*k] < to;
+            let moving = (0..motion.t_s.len()).filter(inner).filter(|&k| motion.qd[j][k].abs() > MOVING);
             moving.map(|k| motion.tau[j][k] - model[j][k]).collect()
         };
         (0..model.len()).map(joint).collect()
@@ -127,7 +132,7 @@ fn model_torque(
         body.torque(&state, pi, &mut rigid[..n])
             .map_err(|e| BadInput::new(format!("recording: no pose at t = {t} s: {e}")))?;
         let direction = qd.map(|v| (v / RAMP).clamp(-1.0, 1.0));
-        let mut tau = rigid;
+        let mut tau: Joints = [0.0; MAX_JOINTS];
         if let Some(model) = friction {
             let of = |list: &[f64], j: usize| list.get(j).copied().unwrap_or(0.0);
             let f = &model.friction;
@@ -144,7 +149,7 @@ fn model_torque(
             temperature_degc: &[f64::NAN; MAX_JOINTS],
         };
         terms.add_torque(&input, &mut tau);
-        (0..n).for_each(|j| out[j].push(tau[j]));
+        (0..n).for_each(|j| out[j].push(rigid[j] + tau[j]));
     }
     Ok(out)
 }

@@ -128,9 +128,9 @@ fn check(expected: &Expected, said: &Said, robot: &RobotFile) -> Seen {
             Seen { found, figure, met: value.is_some_and(|v| (v / k - 1.0).abs() <= 0.3) }
         }
         Expected::NotUniform { effect } => {
-            let said_so = |text: &str| text.contains("uniform") || text.contains("recordings") || text.contains("sign");
+            let said_so = |text: &str| text.contains("uniform") || text.contains("differ");
             let excluded = said.excluded.iter().find(|e| e.effect == effect && said_so(&e.reason));
-            let named = said.named(effect).find(|f| f.sentence.contains("uniform"));
+            let named = said.named(effect).find(|f| said_so(&f.sentence));
             let figure = excluded.map(|e| e.reason.clone()).or(named.map(|f| f.sentence.clone()));
             Seen {
                 found: said.named(effect).next().map_or("not taken".to_owned(), Finding::words),

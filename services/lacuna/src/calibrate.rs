@@ -12,6 +12,7 @@ use lacuna_interfaces::BadInput;
 use lacuna_interfaces::robot::Kind;
 use lacuna_physics::effects;
 use lacuna_simulate::case::drawable;
+use lacuna_simulate::case::PROOF_SEEDS_FROM;
 use lacuna_simulate::effects::Class;
 use lacuna_simulate::{CaseOptions, EffectTruth, Simulation, Truth, draw_case, simulate};
 use lacuna_stage::Failure;
@@ -51,6 +52,10 @@ pub fn calibrate(args: &CalibrateArgs) -> CommandResult {
     }
     let calibration = Calibration::built_in()?;
     let first = args.seed.unwrap_or(if args.check { CHECK_SEED } else { MAKE_SEED });
+    if first.saturating_add(args.cases as u64) > PROOF_SEEDS_FROM {
+        let what = format!("--seed: found {first}; expected seeds below {PROOF_SEEDS_FROM}, from there on they are the proof's");
+        return Err(BadInput::new(what).into());
+    }
     let progress = Mutex::new(Progress::bar());
     let done = AtomicUsize::new(0);
     let seen: Vec<Observation> = (0..args.cases)

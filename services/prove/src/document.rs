@@ -46,7 +46,8 @@ mod tests {
             failures: vec!["one".to_owned(), "two".to_owned()],
             ..Section::default()
         };
-        let skipped = Section::skipped("b", "B", "lacuna prove b", "no recordings".to_owned());
+        let skipped =
+            Section { title: "B".to_owned(), skipped: Some("no recordings".to_owned()), ..Section::default() };
         let text = markdown(&[section, skipped], "1.2.3");
         assert!(text.contains("| A | 1 | 1 | 2 |") && text.contains("| B | skipped | - | - |"), "{text}");
         assert!(text.contains("## A") && text.contains("SKIPPED: no recordings") && text.contains("1.2.3"));

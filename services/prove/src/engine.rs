@@ -4,11 +4,10 @@ use crate::error::{Error, io};
 use crate::hidden::Hidden;
 use crate::score::{self, judge};
 use crate::section::Section;
-use crate::{Options, Watcher, Workplace, concealed};
+use crate::{Options, Part, Watcher, Workplace, concealed};
 use lacuna_recording::files::read_text;
 
 const TITLE: &str = "Concealed, other engine";
-const COMMAND: &str = "lacuna prove engine";
 
 /// Diagnoses every case of `SHARED/data/delta_concealed` and holds the findings against its key.
 ///
@@ -18,7 +17,7 @@ pub fn prove(options: &Options, watcher: &mut dyn Watcher) -> Result<Section, Er
     let dir = options.shared.join("data/delta_concealed");
     let cases = dir.join("cases");
     if !cases.is_dir() {
-        return Ok(Section::skipped("engine", TITLE, COMMAND, format!("no recordings at {}", dir.display())));
+        return Ok(Section::skipped(Part::Engine, TITLE, options, format!("no recordings at {}", dir.display())));
     }
     let place = Workplace::new(options.out.as_deref(), "engine")?;
     let entries = std::fs::read_dir(&cases).map_err(io("read", &cases))?;
@@ -40,9 +39,9 @@ pub fn prove(options: &Options, watcher: &mut dyn Watcher) -> Result<Section, Er
         judged.push(judge(name, &hidden, answered));
     }
     let mut section = Section {
-        part: "engine".to_owned(),
+        part: Part::Engine.name().to_owned(),
         title: TITLE.to_owned(),
-        command: COMMAND.to_owned(),
+        command: options.command(Part::Engine),
         conditions: vec![
             format!(
                 "{} Delta cases of {} (closed loop at 4 kHz, 6 recordings of 5 s at 1 kHz), by an engine that shares no code \

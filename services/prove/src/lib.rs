@@ -49,6 +49,20 @@ pub struct Options {
     pub shared: PathBuf,
 }
 
+impl Options {
+    /// The command that makes a part again.
+    pub fn command(&self, part: Part) -> String {
+        let mut command = format!("lacuna prove {}", part.name());
+        if let Some(cases) = self.cases {
+            command += &format!(" --cases {cases}");
+        }
+        if self.seed != 0 {
+            command += &format!(" --seed {}", self.seed);
+        }
+        command
+    }
+}
+
 /// A part of the proof.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {

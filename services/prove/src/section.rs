@@ -1,5 +1,6 @@
 //! Results in a form that a terminal, a document and a program can show.
 
+use crate::{Options, Part};
 use serde::Serialize;
 use std::fmt::Write as _;
 
@@ -145,9 +146,9 @@ impl Table {
 
 impl Section {
     /// A section that could not be made, with the reason.
-    pub fn skipped(part: &str, title: &str, command: &str, why: String) -> Self {
-        let [part, title, command] = [part, title, command].map(str::to_owned);
-        Self { part, title, command, skipped: Some(why), ..Self::default() }
+    pub fn skipped(part: Part, title: &str, options: &Options, why: String) -> Self {
+        let (title, command) = (title.to_owned(), options.command(part));
+        Self { part: part.name().to_owned(), title, command, skipped: Some(why), ..Self::default() }
     }
 
     fn scorecard(&self) -> Table {
@@ -273,7 +274,7 @@ mod tests {
             assert!(text.contains(part) && markdown.contains(part), "{part}");
         }
         assert!(markdown.contains("| a\\|b | 3 of 4 |") && markdown.contains("`lacuna prove part`"));
-        let skipped = Section::skipped("real", "Real", "lacuna prove real", "no recordings".to_owned());
+        let skipped = Section { skipped: Some("no recordings".to_owned()), ..Section::default() };
         assert!(skipped.text().contains("SKIPPED: no recordings") && skipped.markdown().contains("SKIPPED"));
     }
 

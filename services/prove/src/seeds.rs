@@ -5,10 +5,9 @@
 //! | below [`PROOF_FIRST`] | development, tests, calibration, users |
 //! | [`PROOF_FIRST`] and above | the proof alone: never for development, never for calibration |
 //!
-//! A proof with `--seed S` draws from a block of its own, so that a fresh, never seen proof is one option away.
+//! A calibration refuses the proof's seeds. A proof with `--seed S` draws from a block of its own, so that a fresh, never seen proof is one option away.
 
-/// First seed of the proof.
-pub const PROOF_FIRST: u64 = 1 << 40;
+pub use lacuna_simulate::case::PROOF_SEEDS_FROM as PROOF_FIRST;
 
 /// Seeds of one proof; `--seed` chooses the block.
 const BLOCK: u64 = 1 << 20;

@@ -11,6 +11,9 @@ use lacuna_interfaces::robot::{
 use lacuna_interfaces::{BadInput, MAX_JOINTS};
 use serde::{Deserialize, Serialize};
 
+/// Seeds from here on belong to the proof alone (`lacuna prove`): no development, calibration or test draws from them.
+pub const PROOF_SEEDS_FROM: u64 = 1 << 40;
+
 /// What kind of cases to draw.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]

@@ -9,7 +9,7 @@ use crate::hidden::Hidden;
 use crate::score::{self, judge};
 use crate::seal::Vault;
 use crate::section::{Aim, Figure, Section, short};
-use crate::{Options, Watcher, Workplace};
+use crate::{Options, Part, Watcher, Workplace};
 use draw::{Class, Drawn, Plan};
 use lacuna_simulate::Truth;
 use lacuna_simulate::output::robot_toml;
@@ -123,14 +123,10 @@ fn head(options: &Options, plans: &[Plan], redrawn: usize, digest: &str) -> Sect
     let deltas = plans.iter().filter(|p| p.is_delta()).count();
     let off = plans.iter().filter(|p| p.mass_error > 0.0).count();
     let bare = plans.iter().filter(|p| p.bare).count();
-    let mut command = format!("lacuna prove concealed --cases {}", plans.len());
-    if options.seed != 0 {
-        command += &format!(" --seed {}", options.seed);
-    }
     Section {
-        part: "concealed".to_owned(),
+        part: Part::Concealed.name().to_owned(),
         title: TITLE.to_owned(),
-        command,
+        command: options.command(Part::Concealed),
         conditions: vec![
             format!(
                 "{} cases: {} clean, {} with one effect of the catalogue, {} with two or three, {} with one outside the \

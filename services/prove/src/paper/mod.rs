@@ -8,7 +8,7 @@ use crate::error::{Error, io};
 use crate::said::{Finding, Said};
 use crate::section::{Aim, Figure, Section, Table, short};
 use crate::seeds;
-use crate::{Options, Watcher, Workplace};
+use crate::{Options, Part, Watcher, Workplace};
 use lacuna_interfaces::{ModelFile, Recording};
 use lacuna_recording::files::read_text;
 use lacuna_simulate::demo::{DEMO_PAYLOAD_KG, DEMO_ROBOT};
@@ -18,7 +18,6 @@ use std::path::Path;
 use steps::{Steps, spread};
 
 const TITLE: &str = "The paper's own story, discovered";
-const COMMAND: &str = "lacuna prove paper";
 
 /// Case number of the demo's robot in the proof's seeds.
 const CASE: u64 = (1 << 15) - 2;
@@ -49,7 +48,7 @@ pub fn prove(options: &Options, watcher: &mut dyn Watcher) -> Result<Section, Er
     watcher.at(0.2, "diagnosing with M_KH alone");
     let out = place.folder("findings")?;
     let answered = options.diagnosis.run(&folder, "robot.toml", &files, &out)?;
-    let mut section = head();
+    let mut section = head(options);
     match &answered.said {
         Ok(said) => {
             let path = out.join("model.toml");
@@ -80,11 +79,11 @@ fn write(folder: &Path, name: &str, recording: &Recording) -> Result<String, Err
     Ok(name.to_owned())
 }
 
-fn head() -> Section {
+fn head(options: &Options) -> Section {
     Section {
-        part: "paper".to_owned(),
+        part: Part::Paper.name().to_owned(),
         title: TITLE.to_owned(),
-        command: COMMAND.to_owned(),
+        command: options.command(Part::Paper),
         conditions: vec![
             "A D3-1200-class Delta whose rotors carry 0.28 to 0.32 kg m² more than its file says (0.06), with forearms of \
              distributed mass, masses off by up to 3 %, friction, and 3.8 kg picked and placed."

@@ -9,7 +9,7 @@ use crate::error::Error;
 use crate::said::{Finding, Said};
 use crate::section::{Aim, Figure, Section, Table, short};
 use crate::seeds;
-use crate::{Options, Watcher, Workplace};
+use crate::{Options, Part, Watcher, Workplace};
 use lacuna_estimation::filter::{Interpolation, resample};
 use lacuna_estimation::stats::quantile;
 use lacuna_interfaces::Recording;
@@ -21,7 +21,6 @@ use motion::Motion;
 use std::path::{Path, PathBuf};
 
 const TITLE: &str = "Concealed in real recordings";
-const COMMAND: &str = "lacuna prove planted";
 
 /// A robot whose recordings take plants.
 struct Host {
@@ -76,11 +75,11 @@ struct Planted {
 pub fn prove(options: &Options, watcher: &mut dyn Watcher) -> Result<Section, Error> {
     let data = options.shared.join("data");
     if !data.is_dir() {
-        return Ok(Section::skipped("planted", TITLE, COMMAND, format!("no recordings at {}", data.display())));
+        return Ok(Section::skipped(Part::Planted, TITLE, options, format!("no recordings at {}", data.display())));
     }
     let place = Workplace::new(options.out.as_deref(), "planted")?;
     let list = plan(options.cases.unwrap_or(usize::MAX));
-    let mut section = head(list.len());
+    let mut section = head(options, list.len());
     let mut grounds: Vec<Option<Ground>> = Vec::new();
     for (k, host) in HOSTS.iter().enumerate() {
         watcher.at(0.1 * k as f64 / HOSTS.len() as f64, &format!("{} as it is", host.folder));
@@ -312,11 +311,11 @@ fn judge(section: &mut Section, done: &[Planted]) {
     section.failures.extend(done.iter().filter(|p| !p.named || !p.other.is_empty()).map(|p| p.line.clone()));
 }
 
-fn head(plants: usize) -> Section {
+fn head(options: &Options, plants: usize) -> Section {
     Section {
-        part: "planted".to_owned(),
+        part: Part::Planted.name().to_owned(),
         title: TITLE.to_owned(),
-        command: COMMAND.to_owned(),
+        command: options.command(Part::Planted),
         conditions: vec![
             format!(
                 "{plants} plants into recordings of a double pendulum (T-Motor), a Stäubli TX40 and a KUKA KR300: torque \
@@ -325,8 +324,8 @@ fn head(plants: usize) -> Section {
             "Strength by its share of the residual's RMS after planting. A plant counts as named if it is found on its \
              joint, where it was not found before."
                 .to_owned(),
-            "Robot files of these arms give no masses: what a freely fitted rigid body takes over (parts of a gain error, \
-             of a spring, of an offset) cannot be seen."
+            "The files of the pendulum and of the KUKA give no masses: what a freely fitted rigid body takes over (parts of \
+             a gain error, of a spring, of an offset) cannot be seen there."
                 .to_owned(),
         ],
         ..Section::default()

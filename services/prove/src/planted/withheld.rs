@@ -95,12 +95,13 @@ fn coupling(table: &mut Table, said: Result<&Said, &String>, published: &Publish
 
 fn friction(table: &mut Table, model: Option<&ModelFile>, published: &Published) {
     for j in 1..=6 {
-        for (name, list) in [("fv", model.map(|m| &m.friction.f_v)), ("fs", model.map(|m| &m.friction.f_c))] {
+        let lists = [("fv", "f_v", model.map(|m| &m.friction.f_v)), ("fs", "f_c", model.map(|m| &m.friction.f_c))];
+        for (name, symbol, list) in lists {
             let Some((value, two)) = published.get(&format!("{name}{j}")) else { continue };
             let fitted = list.and_then(|l| l.get(j - 1)).copied();
             let ok = fitted.is_some_and(|v| (v - value).abs() <= two.max(0.1 * value.abs()));
             table.rows.push(vec![
-                format!("TX40: friction of joint {j}"),
+                format!("TX40: {symbol} of joint {j}"),
                 format!("{name}{j} = {} ± {}", short(value, 3), short(two, 2)),
                 fitted.map_or("-".to_owned(), |v| short(v, 3)),
                 verdict(ok),

@@ -5,13 +5,12 @@ mod expected;
 use crate::error::Error;
 use crate::said::{Finding, Said};
 use crate::section::{Aim, Figure, Section, Table, short};
-use crate::{Options, Watcher, Workplace};
+use crate::{Options, Part, Watcher, Workplace};
 use expected::{Expected, ROBOTS, Robot};
 use lacuna_interfaces::RobotFile;
 use lacuna_recording::load_robot;
 
 const TITLE: &str = "Real recordings, as found";
-const COMMAND: &str = "lacuna prove real";
 
 /// One line of the table.
 struct Seen {
@@ -27,10 +26,10 @@ struct Seen {
 pub fn prove(options: &Options, watcher: &mut dyn Watcher) -> Result<Section, Error> {
     let data = options.shared.join("data");
     if !data.is_dir() {
-        return Ok(Section::skipped("real", TITLE, COMMAND, format!("no recordings at {}", data.display())));
+        return Ok(Section::skipped(Part::Real, TITLE, options, format!("no recordings at {}", data.display())));
     }
     let place = Workplace::new(options.out.as_deref(), "real")?;
-    let mut section = head();
+    let mut section = head(options);
     let mut table = Table::new("Expected and found", &["robot", "expected", "found", "figure", "verdict"]);
     let mut errors = Table::new(
         "Torque error, held out, relative to the torque",
@@ -72,11 +71,11 @@ pub fn prove(options: &Options, watcher: &mut dyn Watcher) -> Result<Section, Er
     Ok(section)
 }
 
-fn head() -> Section {
+fn head(options: &Options) -> Section {
     Section {
-        part: "real".to_owned(),
+        part: Part::Real.name().to_owned(),
         title: TITLE.to_owned(),
-        command: COMMAND.to_owned(),
+        command: options.command(Part::Real),
         conditions: vec![
             "Six robots, `lacuna diagnose` with its own choice of band, hold-out and moving threshold; nothing set by hand."
                 .to_owned(),

@@ -28,14 +28,16 @@ pub const WRAP_MARGIN_RAD: f64 = 0.5;
 
 /// What is to become of a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Verdict {
+pub enum Verdict {
+    /// A sample.
     Keep,
+    /// The sample before, again.
     Drop,
 }
 
 /// State of the judgement along one recording.
 #[derive(Debug)]
-pub(crate) struct Conditioner {
+pub struct Conditioner {
     joints: usize,
     last_stamp_ns: Option<i64>,
     period: RecentMedian,
@@ -47,7 +49,8 @@ pub(crate) struct Conditioner {
 }
 
 impl Conditioner {
-    pub(crate) fn new(robot: &RobotFile) -> Self {
+    /// Before the first sample.
+    pub fn new(robot: &RobotFile) -> Self {
         // A URDF's joint types are not known here. That costs nothing: a prismatic joint cannot go from one
         // end of ±π metres to the other between two samples.
         let revolute = |j: usize| robot.dh.get(j).is_none_or(|row| row.joint == JointType::Revolute);
@@ -64,7 +67,10 @@ impl Conditioner {
     }
 
     /// Judges the next sample: refuses it, drops it, or keeps it unwrapped and flagged.
-    pub(crate) fn judge(&mut self, sample: &mut JointMeasured) -> Result<Verdict, BadInput> {
+    ///
+    /// # Errors
+    /// [`BadInput`] without a place: not finite, out of all range, or earlier than the sample before.
+    pub fn judge(&mut self, sample: &mut JointMeasured) -> Result<Verdict, BadInput> {
         self.plausible(sample)?;
         let stamp = sample.header.stamp_ns;
         if let Some(last) = self.last_stamp_ns {
@@ -126,7 +132,7 @@ impl Conditioner {
     }
 
     /// What was repaired, with empty file names; only what occurred.
-    pub(crate) fn repairs(&self) -> Vec<Repair> {
+    pub fn repairs(&self) -> Vec<Repair> {
         let mut all =
             vec![repair(RepairKind::DuplicateStamp, "t", self.duplicates), repair(RepairKind::Gap, "t", self.gaps)];
         for j in 0..self.joints {

@@ -1,7 +1,9 @@
-//! The source: recordings as a stream of [`JointMeasured`].
+//! The source: recordings, or a live tap on a fieldbus ([`tap`]), as a stream of [`JointMeasured`].
 //!
 //! Pure: it reads and says when a sample is due; waiting until then is the process's business. One or more
 //! recordings run one after the other under one sequence 1, 2, 3, …; memory stays constant.
+
+pub mod tap;
 
 use lacuna_interfaces::{BadInput, JointMeasured, Repair, RobotFile, flag};
 use lacuna_recording::{ReadOptions, Reader, TimeSource};
@@ -13,8 +15,10 @@ use std::path::PathBuf;
 #[serde(deny_unknown_fields)]
 pub struct Config {
     /// Recording, or list of recordings, played one after the other.
-    #[serde(deserialize_with = "one_or_many")]
+    #[serde(default, deserialize_with = "one_or_many")]
     pub recording: Vec<PathBuf>,
+    /// In place of a recording: network interface on which EtherCAT traffic is listened to ([`tap::Tap`]), live.
+    pub interface: Option<String>,
     /// `"max"`, or a factor on recorded speed (1 = as recorded).
     #[serde(default)]
     pub rate: Rate,
@@ -241,8 +245,11 @@ impl OpenFile {
 
 fn check(config: &Config, robot: &RobotFile) -> Result<(), BadInput> {
     let bad = |what: String| Err(BadInput::new(what));
+    if let (Some(interface), false) = (&config.interface, config.recording.is_empty()) {
+        return bad(format!("found both recording and interface {interface}; expected one of them"));
+    }
     if config.recording.is_empty() || config.recording.iter().any(|p| p.as_os_str().is_empty()) {
-        return bad("recording: found no path; expected one or a list of paths".to_owned());
+        return bad("recording: found no path; expected one or a list of paths, or an interface".to_owned());
     }
     if !(config.from_s.is_finite() && config.from_s >= 0.0) {
         return bad(format!("from_s: found {}; expected zero or a positive number", config.from_s));

@@ -27,5 +27,5 @@ pub use control::{Event, Gauge, HopLatency, Order, StageReport};
 pub use domain::{Domain, RunDir};
 pub use process::Failure;
 pub use sink_loop::{AnyMessage, Sink, SinkContext, run_sink};
-pub use source_loop::{Source, SourceContext, run_source};
+pub use source_loop::{Next, Source, SourceContext, run_source};
 pub use stage_loop::run_stage;

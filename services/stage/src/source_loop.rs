@@ -16,6 +16,23 @@ pub struct SourceContext<'a> {
     pub robot: &'a RobotFile,
 }
 
+/// What a source has next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Next<T> {
+    /// A sample with sequence number and measurement stamp.
+    Sample(T),
+    /// Nothing yet: a live source looked for a moment; ask again.
+    Wait,
+    /// The end of the stream.
+    End,
+}
+
+impl<T> From<Option<T>> for Next<T> {
+    fn from(sample: Option<T>) -> Self {
+        sample.map_or(Self::End, Self::Sample)
+    }
+}
+
 /// Where the stream begins.
 pub trait Source: Sized {
     /// The node's `[config]` table.
@@ -29,11 +46,11 @@ pub trait Source: Sized {
     /// [`BadInput`] if configuration or input cannot be used.
     fn new(config: Self::Config, context: &SourceContext<'_>) -> Result<Self, BadInput>;
 
-    /// Next sample with sequence number and measurement stamp; `None` at the end.
+    /// What comes next. A live source returns [`Next::Wait`] at least every tenth of a second, so that a stop is heard.
     ///
     /// # Errors
     /// [`BadInput`] with the place where the input stops making sense.
-    fn next_sample(&mut self) -> Result<Option<Self::Output>, BadInput>;
+    fn next_sample(&mut self) -> Result<Next<Self::Output>, BadInput>;
 
     /// When the sample is due, as time since the first one [ns]; `None` to send as fast as the graph accepts.
     fn due_ns(&self, sample: &Self::Output) -> Option<u64>;
@@ -68,7 +85,14 @@ fn body<S: Source>(process: &Process) -> Result<StageReport, Failure> {
     let mut flowing = process.restarts == 0;
     // A stop request ends the stream here; the sentinel then ends it everywhere, in order.
     while !process.stop.requested() {
-        let Some(mut sample) = first.take().map_or_else(|| source.next_sample(), |s| Ok(Some(s)))? else { break };
+        let mut sample = match first.take().map_or_else(|| source.next_sample(), |s| Ok(Next::Sample(s)))? {
+            Next::Sample(sample) => sample,
+            Next::Wait => {
+                output.flush();
+                continue;
+            }
+            Next::End => break,
+        };
         sample.header_mut().restarts = process.restarts;
         if let Some(due) = source.due_ns(&sample) {
             sleep_until(start + due, &mut output, process);
@@ -113,7 +137,11 @@ fn body<S: Source>(process: &Process) -> Result<StageReport, Failure> {
 /// hole in the sequence, which every reader counts. Returns the first sample that is not late.
 fn catch_up<S: Source>(source: &mut S, start: u64, process: &Process) -> Result<Option<S::Output>, Failure> {
     while !process.stop.requested() {
-        let Some(mut sample) = source.next_sample()? else { return Ok(None) };
+        let mut sample = match source.next_sample()? {
+            Next::Sample(sample) => sample,
+            Next::Wait => continue,
+            Next::End => return Ok(None),
+        };
         let Some(due) = source.due_ns(&sample) else {
             return Err(Failure::usage(format!(
                 "node \"{}\": cannot go on after a restart, since nothing says where the stream is now; expected a rate",

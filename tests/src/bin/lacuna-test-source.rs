@@ -1,7 +1,7 @@
 //! A source of synthetic motion: three joints on sines, as many samples as asked for.
 
 use lacuna_interfaces::{BadInput, JointMeasured};
-use lacuna_stage::{Source, SourceContext, run_source};
+use lacuna_stage::{Next, Source, SourceContext, run_source};
 use serde::Deserialize;
 use std::process::ExitCode;
 
@@ -34,9 +34,9 @@ impl Source for Sines {
         Ok(Self { config, joints: context.robot.joint_count(), next: 1 })
     }
 
-    fn next_sample(&mut self) -> Result<Option<JointMeasured>, BadInput> {
+    fn next_sample(&mut self) -> Result<Next<JointMeasured>, BadInput> {
         if self.next > self.config.samples {
-            return Ok(None);
+            return Ok(Next::End);
         }
         let t = (self.next - 1) as f64 / self.config.rate_hz;
         let mut m = JointMeasured::default();
@@ -54,7 +54,7 @@ impl Source for Sines {
             m.link_tau_nm[i] = f64::NAN;
         }
         self.next += 1;
-        Ok(Some(m))
+        Ok(Next::Sample(m))
     }
 
     fn due_ns(&self, sample: &JointMeasured) -> Option<u64> {

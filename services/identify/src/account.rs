@@ -63,11 +63,13 @@ pub(crate) fn account(a: &Account<'_>) -> Result<Outcome, BadInput> {
         recordings: stream.prepared,
         survey: &a.data.sums.survey,
         seconds: seconds(stream),
+        positions: positions(stream),
         solution,
         plan: stream.plan,
         held_out: &a.held.score,
         with_standstill: a.held.with_standstill,
         delay: fitted.delay,
+        instruments: fitted.instruments.as_ref(),
         consistency,
     };
     let held_out = HeldOut {
@@ -106,6 +108,7 @@ pub(crate) fn account(a: &Account<'_>) -> Result<Outcome, BadInput> {
         rows: a.solution().rows.clone(),
         blocks: a.solution().blocks,
         delay: fitted.delay,
+        instruments: fitted.instruments.clone(),
         bristle_rad: fitted.bristle.iter().map(|b| bristle::width_rad(*b)).collect(),
         conditioning: a.data.stream.plan.clone(),
         consistency,
@@ -272,4 +275,13 @@ fn model(a: &Account<'_>, identification: &Identification) -> ModelFile {
 fn seconds(stream: &Stream<'_>) -> f64 {
     let of = |p: &Prepared| p.stretches.iter().map(|s| s.rows as f64 * p.row_period_s()).sum::<f64>();
     stream.prepared.iter().map(of).sum()
+}
+
+/// Least and largest position per joint over all recordings [rad].
+fn positions(stream: &Stream<'_>) -> Vec<(f64, f64)> {
+    let of = |j: usize| {
+        let all = stream.recordings.iter().flat_map(|r| &r.q_rad[j]);
+        all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(*q), high.max(*q)))
+    };
+    (0..stream.layout.len()).map(of).collect()
 }

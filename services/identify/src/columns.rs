@@ -139,5 +139,7 @@ impl<'a> Evaluator<'a> {
 
 /// The error of a recording whose pose the robot cannot take.
 pub(crate) fn unreachable(time_s: f64, error: Unreachable) -> BadInput {
-    BadInput::new(format!("t = {time_s:.4} s: {error}; expected poses that the robot file's geometry allows"))
+    BadInput::new(format!(
+        "t = {time_s:.4} s: {error}; expected poses that the robot file's geometry allows, in radians"
+    ))
 }

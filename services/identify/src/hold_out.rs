@@ -7,7 +7,7 @@ use crate::evaluate::{Score, Tally, Which};
 use crate::fit::draft::{Data, Draft, chosen};
 use crate::fit::normal::Choice;
 use crate::fit::robust::Store;
-use crate::fit::{Solution, fit_all};
+use crate::fit::{InstrumentCheck, Solution, fit_all};
 use crate::layout::{Chosen, Layout};
 use crate::options::{Method, Options};
 use crate::paper::{self, ErrorTable, PaperModels, PaperResult};
@@ -92,6 +92,8 @@ pub(crate) struct Fitted {
     pub(crate) shift_s: f64,
     /// The pooled fit.
     pub(crate) solution: Solution,
+    /// Least squares against instruments, where they were made.
+    pub(crate) instruments: Option<InstrumentCheck>,
     /// The same with standing joints fitted too, where joints stand.
     at_rest: Option<DVector<f64>>,
     /// The constrained fit, if asked for.
@@ -123,7 +125,7 @@ impl Context<'_> {
     fn fit(&self, trains: &[&[Span]]) -> Result<Vec<Fitted>, BadInput> {
         let Self { options, data, .. } = *self;
         let stands = self.stands();
-        let finish = |draft: &Draft, solution: Solution| {
+        let finish = |draft: &Draft, solution: Solution, instruments: Option<InstrumentCheck>| {
             let at_rest = if stands {
                 let choice =
                     Choice { excited: solution.excited.clone(), unexcited: Vec::new(), fixed: fixed(&solution) };
@@ -138,12 +140,13 @@ impl Context<'_> {
                 delay: draft.delay,
                 shift_s: draft.shift_s,
                 solution,
+                instruments,
                 at_rest,
                 consistent,
                 paper: None,
             })
         };
-        let mut all = fit_all(data, self.store, trains, options.delay, options.robust, finish)?;
+        let mut all = fit_all(data, self.store, trains, options, finish)?;
         if options.method == Method::Paper {
             for (fitted, train) in all.iter_mut().zip(trains) {
                 let rows = rows::gather(data.stream, |r, _| chosen(data.stream, r, None, fitted.shift_s))?;

@@ -3,6 +3,7 @@
 use crate::columns::Signal;
 use crate::condition::Conditioning;
 use crate::delay::Delay;
+use crate::fit::Instruments;
 use crate::split::{FileRange, Holdout, Span};
 use lacuna_interfaces::BadInput;
 use serde::{Deserialize, Serialize};
@@ -55,6 +56,8 @@ pub struct Options {
     pub consistent: bool,
     /// Delay between torque and position.
     pub delay: Delay,
+    /// Instruments against encoder noise in the accelerations.
+    pub instruments: Instruments,
     /// Filters and masks.
     pub conditioning: Conditioning,
     /// Length of a block of time behind the intervals [s]. Default: a hundredth of the data, from eight periods of the
@@ -75,6 +78,7 @@ impl Default for Options {
             robust: true,
             consistent: false,
             delay: Delay::Estimate,
+            instruments: Instruments::Auto,
             conditioning: Conditioning::default(),
             block_s: None,
         }

@@ -3,6 +3,7 @@
 use crate::condition::Plan;
 use crate::delay::DelayEstimate;
 use crate::evaluate::Score;
+use crate::fit::InstrumentCheck;
 use crate::paper::PaperResult;
 use crate::split::TimeRange;
 use lacuna_interfaces::{BadInput, ModelFile, Repair};
@@ -148,6 +149,9 @@ pub struct Identification {
     /// Delay between torque and position.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub delay: Option<DelayEstimate>,
+    /// Least squares against instruments, where they were made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub instruments: Option<InstrumentCheck>,
     /// Movement over which Coulomb friction builds up after a reversal [rad], per joint; null: at once.
     pub bristle_rad: Vec<Option<f64>>,
     /// Filters and masks.

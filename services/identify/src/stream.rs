@@ -120,6 +120,17 @@ impl<'a> Stream<'a> {
         self.parts.len()
     }
 
+    /// At most `count` parts, spread over all.
+    pub(crate) fn probes(&self, count: usize) -> Vec<&Part> {
+        self.parts.iter().step_by(self.parts.len().div_ceil(count.max(1)).max(1)).collect()
+    }
+
+    /// Recorded positions over the rows of a part: `[joint]`.
+    pub(crate) fn raw(&self, part: &Part) -> Vec<&[f64]> {
+        let samples = self.prepared[part.recording].recorded(part.stretch, &part.rows);
+        self.recordings[part.recording].q_rad.iter().map(|q| q.get(samples.clone()).unwrap_or_default()).collect()
+    }
+
     /// Computes `make` of every part in parallel, and hands the results to `take` in order.
     ///
     /// # Errors

@@ -5,7 +5,7 @@ use crate::columns::Term;
 use crate::condition::{Plan, Prepared};
 use crate::delay::DelayEstimate;
 use crate::evaluate::Score;
-use crate::fit::{Solution, Why};
+use crate::fit::{InstrumentCheck, Solution, Why};
 use crate::outcome::Consistency;
 use crate::sums::Survey;
 use lacuna_interfaces::RobotFile;
@@ -18,11 +18,14 @@ pub(crate) struct Findings<'a> {
     pub(crate) survey: &'a [Survey],
     /// Time that the rows cover [s].
     pub(crate) seconds: f64,
+    /// Least and largest position per joint over all recordings [rad].
+    pub(crate) positions: Vec<(f64, f64)>,
     pub(crate) solution: &'a Solution,
     pub(crate) plan: &'a Plan,
     pub(crate) held_out: &'a Score,
     pub(crate) with_standstill: Option<f64>,
     pub(crate) delay: Option<DelayEstimate>,
+    pub(crate) instruments: Option<&'a InstrumentCheck>,
     pub(crate) consistency: Option<Consistency>,
 }
 
@@ -38,8 +41,10 @@ pub(crate) fn all(f: &Findings<'_>) -> Vec<String> {
     rank(f, &mut out);
     saturation(f, &mut out);
     units(f, &mut out);
+    degrees(f, &mut out);
     standstill(f, &mut out);
     timing(f, &mut out);
+    encoder(f, &mut out);
     quality(f, &mut out);
     out
 }
@@ -203,6 +208,34 @@ fn units(f: &Findings<'_>, out: &mut Vec<String>) {
     }
 }
 
+/// A joint of an arm that turns further than this [rad] without a limit in the robot file: two whole turns.
+const TURNS: f64 = 2.0 * std::f64::consts::TAU;
+/// How far beyond its limit a joint must be before the unit is in doubt; degrees are 57 times.
+const FAR_BEYOND: f64 = 3.0;
+
+/// Positions in degrees called radians: far beyond the joint's limits, or several turns of an arm's joint.
+fn degrees(f: &Findings<'_>, out: &mut Vec<String>) {
+    let limits = &f.robot.limits;
+    let limit = |list: &Option<lacuna_interfaces::robot::PerJoint>, j: usize| list.as_ref().and_then(|l| l.get(j));
+    for (j, (low, high)) in f.positions.iter().enumerate() {
+        let farthest = low.abs().max(high.abs());
+        let own = [limit(&limits.q_min_rad, j), limit(&limits.q_max_rad, j)].into_iter().flatten().map(f64::abs);
+        let own = own.fold(f64::NAN, f64::max);
+        let name = format!("joint {} ({})", j + 1, f.robot.joints[j]);
+        if own > 0.0 && farthest > FAR_BEYOND * own {
+            out.push(format!(
+                "wrong unit? {name} is at up to {farthest:.1} rad; the robot file's limit is {own:.2} rad: degrees called rad?"
+            ));
+        } else if own.is_nan() && f.positions.len() > 1 && high - low > TURNS {
+            out.push(format!(
+                "wrong unit? {name} turns through {:.1} rad, {:.1} turns: degrees called rad?",
+                high - low,
+                (high - low) / std::f64::consts::TAU
+            ));
+        }
+    }
+}
+
 /// Factor between the identified and the nominal rigid body, if one factor explains the departure: by the size of what
 /// each column contributes.
 fn common_factor(s: &Structure, solution: &Solution) -> Option<f64> {
@@ -251,6 +284,21 @@ fn timing(f: &Findings<'_>, out: &mut Vec<String>) {
             delay.delay_s.abs() * rate
         ));
     }
+}
+
+/// Encoder noise in the accelerations that biases least squares.
+fn encoder(f: &Findings<'_>, out: &mut Vec<String>) {
+    let Some(i) = f.instruments.filter(|i| i.statistic.abs() > i.threshold) else { return };
+    out.push(format!(
+        "encoder noise in the accelerations biases least squares: {} = {:.4e}, by instruments {:.4e} ({:.1} standard errors \
+         apart, {:.1} by chance at most); the model has the {}",
+        i.symbol,
+        i.least_squares,
+        i.instruments,
+        i.statistic.abs(),
+        i.threshold,
+        if i.used { "instruments'" } else { "least-squares values" }
+    ));
 }
 
 fn quality(f: &Findings<'_>, out: &mut Vec<String>) {

@@ -267,6 +267,72 @@ fn bad_recordings_are_named_with_the_number_that_shows_it() {
     assert!(e.unwrap_err().to_string().contains("delay"));
 }
 
+/// Torque and position of a motion in closed form, with noise that no fit can follow.
+fn closed_form(robot: &RobotFile, body: &dyn RigidBody, name: &str, q: impl Fn(f64, usize) -> [f64; 3]) -> Recording {
+    let n = robot.joint_count();
+    let mut out = Recording { name: name.to_owned(), joints: robot.joints.clone(), ..Recording::default() };
+    (out.q_rad, out.tau_nm) = (vec![Vec::new(); n], vec![Vec::new(); n]);
+    let mut tau = vec![0.0; n];
+    for k in 0..15_000 {
+        let t = f64::from(k) * 1e-3;
+        let at: Vec<[f64; 3]> = (0..n).map(|j| q(t, j)).collect();
+        let [q, qd, qdd] = [0, 1, 2].map(|d| at.iter().map(|a| a[d]).collect::<Vec<f64>>());
+        let motion = Motion { q_rad: &q, qd_rad_s: &qd, qdd_rad_s2: &qdd };
+        body.torque(&motion, &body.nominal(), &mut tau).unwrap();
+        out.t_s.push(t);
+        for j in 0..n {
+            let noise = 0.01 * (f64::from(k) * (12.9898 + j as f64)).sin();
+            out.q_rad[j].push(q[j]);
+            out.tau_nm[j].push(tau[j] + 0.3 * qd[j] + 0.2 * qd[j].signum() + noise);
+        }
+    }
+    out
+}
+
+#[test]
+fn collinear_columns_are_named() {
+    let (robot, body) = robot(ARM);
+    // One sine a joint, small: acceleration is −w² times the position, and with it inertia and weight are one number.
+    let swing = |a: f64| {
+        move |t: f64, j: usize| {
+            let (w, a) = (7.0, a * (1.0 + j as f64));
+            let (s, c) = (w * t + j as f64).sin_cos();
+            [a * s, a * w * c, -a * w * w * s]
+        }
+    };
+    let recordings = ["a.csv", "b.csv"].map(|name| closed_form(&robot, body.as_ref(), name, swing(0.03))).to_vec();
+    let outcome = run(&Options::default(), &robot, body.as_ref(), recordings).unwrap();
+    let warning = outcome.identification.warnings.iter().find(|w| w.starts_with("collinear columns")).unwrap();
+    assert!(warning.contains("mx1 (near Izz1)") && warning.contains("condition number"), "{warning}");
+    // Of what is one number, no two are printed as two.
+    let named = |s: &str| outcome.identification.parameters.iter().any(|p| p.symbol == s);
+    assert!(!(named("Izz1") && named("mx1")), "{:?}", outcome.identification.not_excited);
+}
+
+#[test]
+fn degrees_called_radians_are_doubted() {
+    let (robot, body) = robot(ARM);
+    let good = motions(&robot, 9, 2).recordings;
+    let in_degrees = |list: &[Recording]| {
+        let mut list = list.to_vec();
+        list.iter_mut().flat_map(|r| &mut r.q_rad).flatten().for_each(|q| *q = q.to_degrees());
+        list
+    };
+    let outcome = run(&Options::default(), &robot, body.as_ref(), good.clone()).unwrap();
+    assert!(!said(&outcome, "degrees"));
+    let outcome = run(&Options::default(), &robot, body.as_ref(), in_degrees(&good)).unwrap();
+    assert!(said(&outcome, "turns: degrees called rad?"), "{:?}", outcome.identification.warnings);
+    // With limits in the robot file the doubt names them.
+    let limited = RobotFile::parse(&format!("{ARM}[limits]\nq_min_rad = -3.1\nq_max_rad = 3.1\n")).unwrap();
+    let outcome = run(&Options::default(), &limited, body.as_ref(), in_degrees(&good)).unwrap();
+    assert!(said(&outcome, "the robot file's limit is 3.10 rad"), "{:?}", outcome.identification.warnings);
+    // A Delta has no pose there at all, which is an error.
+    let (delta, delta_body) = self::robot(DELTA);
+    let recordings = in_degrees(&motions(&delta, 5, 1).recordings);
+    let e = run(&Options::default(), &delta, delta_body.as_ref(), recordings).unwrap_err().to_string();
+    assert!(e.contains("in radians") && e.contains("traj_01.csv") && !e.contains('\n'), "{e}");
+}
+
 #[test]
 fn ways_of_splitting_exclude_each_other() {
     let (robot, _) = robot(DELTA);

@@ -58,6 +58,9 @@ pub struct IdentifyArgs {
     /// Delay between torque and position: estimate, off, or seconds.
     #[arg(long, default_value = "estimate", allow_hyphen_values = true)]
     delay: String,
+    /// Instruments against encoder noise in the accelerations: auto, on or off.
+    #[arg(long, default_value = "auto")]
+    instruments: String,
     /// Samples this many robust standard deviations off their neighbours are spikes; 0 keeps all.
     #[arg(long, value_name = "SIGMAS", default_value_t = Conditioning::default().spike_threshold, allow_negative_numbers = true)]
     spikes: f64,
@@ -89,6 +92,7 @@ impl IdentifyArgs {
             robust: !self.no_robust,
             consistent: self.consistent,
             delay: delay(&self.delay)?,
+            instruments: self.instruments.parse()?,
             conditioning: Conditioning {
                 band_hz: self.band,
                 position_band_hz: self.position_band,

@@ -33,7 +33,7 @@ pub use base::{BaseParameters, Dependent, Pivoting, base_parameters};
 pub use blocks::{BlockSums, Bootstrap, Statistics, accumulate};
 pub use covariance::{bartlett_bandwidth, newey_west};
 pub use gram::Gram;
-pub use moments::{Mixture, Moments};
+pub use moments::{CrossMoments, Mixture, Moments};
 pub use robust::{Loss, RobustFit, robust};
 pub use solve::{Fit, least_squares, weighted_least_squares};
 pub use tsqr::Tsqr;

@@ -90,7 +90,62 @@ impl Moments {
     }
 }
 
+/// Sum of cross products of two tables' columns, AᵀB, row by row alike.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CrossMoments {
+    sum: DMatrix<f64>,
+}
+
+impl CrossMoments {
+    /// No rows yet, for as many columns on either side.
+    pub fn new(left: usize, right: usize) -> Self {
+        Self { sum: DMatrix::zeros(left, right) }
+    }
+
+    /// AᵀB so far.
+    pub fn products(&self) -> &DMatrix<f64> {
+        &self.sum
+    }
+
+    /// Adds rows of both tables, row-major.
+    ///
+    /// # Errors
+    /// [`EstimationError::Length`] for unequal numbers of rows, or a row that is not complete.
+    pub fn add_rows(&mut self, left: &[f64], right: &[f64]) -> Result<(), EstimationError> {
+        let (p, m) = self.sum.shape();
+        let n = left.len() / p.max(1);
+        same_length("entries of the left rows", left.len(), n * p)?;
+        same_length("entries of the right rows", right.len(), n * m)?;
+        let a = DMatrixView::from_slice_generic(left, Dyn(p), Dyn(n));
+        let b = DMatrixView::from_slice_with_strides_generic(right, Dyn(n), Dyn(m), Dyn(m), Dyn(1));
+        self.sum.gemm(1.0, &a, &b, 1.0);
+        Ok(())
+    }
+
+    /// Adds a row of both tables with a weight.
+    pub fn add_row(&mut self, weight: f64, left: &[f64], right: &[f64]) {
+        for (mut column, &b) in self.sum.column_iter_mut().zip(right) {
+            column.iter_mut().zip(left).for_each(|(s, &a)| *s += weight * a * b);
+        }
+    }
+
+    /// Adds the cross products of further rows of as many columns.
+    pub fn merge(&mut self, other: &Self) {
+        if other.sum.shape() == self.sum.shape() {
+            self.sum += &other.sum;
+        }
+    }
+}
+
 impl Gram {
+    /// \[XᵀX Xᵀy\], p × (p + 1).
+    pub fn xtx_xty(&self) -> DMatrix<f64> {
+        let p = self.columns();
+        let mut out = self.xtx().insert_column(p, 0.0);
+        out.set_column(p, &self.xty());
+        out
+    }
+
     /// The statistics whose cross products \[X y\]ᵀ\[X y\] are known; p + 1 columns, y the last.
     pub fn from_products(products: DMatrix<f64>, rows: u64) -> Self {
         Self::of(products, rows)

@@ -119,6 +119,16 @@ impl Prepared {
         self.sampling.time_s(&recording.t_s, &stretch.range, self.working_of(stretch, row) * self.factor)
     }
 
+    /// Recorded samples over rows of a stretch, as nearly as irregular sampling has them.
+    pub fn recorded(&self, stretch: usize, rows: &Range<usize>) -> Range<usize> {
+        let own = &self.stretches[stretch];
+        let at = |row: usize| {
+            let share = (self.working_of(own, row) * self.factor) as f64 / own.regular.max(1) as f64;
+            own.range.start + (share * own.range.len() as f64) as usize
+        };
+        at(rows.start).min(own.range.end)..at(rows.end).min(own.range.end)
+    }
+
     /// Conditions the working samples `part` of stretch `stretch` of the recording that was prepared.
     ///
     /// What lies at the part's ends is only right within the filters' memory if it is an end of the stretch.

@@ -213,7 +213,7 @@ impl Draft {
         Normal::of(blocks.into_values().collect(), p)
     }
 
-    fn cell(&self, data: Data<'_>, cell: usize, p: usize) -> Gram {
+    pub(super) fn cell(&self, data: Data<'_>, cell: usize, p: usize) -> Gram {
         let mut products = DMatrix::zeros(p + 1, p + 1);
         let mut rows = 0.0;
         for (j, layout) in data.stream.layout.iter().enumerate() {

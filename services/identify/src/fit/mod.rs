@@ -14,15 +14,18 @@
 //! of parameters as plain cluster sums do.
 
 pub(crate) mod draft;
+pub(crate) mod instruments;
 pub(crate) mod normal;
 pub(crate) mod robust;
 mod support;
 
 use crate::base::Structure;
-use crate::delay::Delay;
+use crate::options::Options;
 use crate::rows::Rows;
 use crate::split::Span;
 use draft::{Data, Draft};
+use instruments::InstrumentSums;
+pub use instruments::{InstrumentCheck, Instruments};
 use lacuna_estimation::least_squares::Gram;
 use lacuna_estimation::stats::normal_quantile;
 use lacuna_interfaces::BadInput;
@@ -129,25 +132,36 @@ pub(crate) fn fit_all<T>(
     data: Data<'_>,
     store: &Store,
     trains: &[&[Span]],
-    delay: Delay,
-    robust: bool,
-    mut finish: impl FnMut(&Draft, Solution) -> Result<T, BadInput>,
+    options: &Options,
+    mut finish: impl FnMut(&Draft, Solution, Option<InstrumentCheck>) -> Result<T, BadInput>,
 ) -> Result<Vec<T>, BadInput> {
-    let per_cell: usize = data.stream.layout.iter().map(|l| 8 * (l.width() + 1).pow(2)).sum();
+    let layout = &data.stream.layout;
+    let per_cell = layout.iter().map(|l| 8 * (l.width() + 1).pow(2)).sum::<usize>() + instruments::bytes(layout);
     let together = (LOSS_MEMORY / (per_cell * data.sums.cells.list.len()).max(1)).max(1);
+    let with_instruments = match options.instruments {
+        Instruments::Auto => instruments::noise_share(data)? > instruments::NOISE_SHARE,
+        chosen => chosen == Instruments::On,
+    };
     let mut out = Vec::with_capacity(trains.len());
     for group in trains.chunks(together) {
         let mut drafts: Vec<Draft> =
-            group.iter().map(|train| Draft::new(data, train, delay)).collect::<Result<_, _>>()?;
-        for round in 0..2 * usize::from(robust) {
+            group.iter().map(|train| Draft::new(data, train, options.delay)).collect::<Result<_, _>>()?;
+        for round in 0..2 * usize::from(options.robust) {
             robust::reweigh(data, store, &mut drafts)?;
             drafts.iter_mut().try_for_each(|d| d.refit(data, round == 0))?;
         }
-        for draft in &mut drafts {
-            let solution = support::settle(data, draft, &draft.normal(data))?;
+        let sums = if with_instruments { Some(InstrumentSums::new(data, &drafts)?) } else { None };
+        for (d, draft) in drafts.iter_mut().enumerate() {
+            let mut solution = support::settle(data, draft, &draft.normal(data))?;
+            let mut check = None;
+            if let Some((own, found)) = sums.as_ref().and_then(|s| s.solve(data, d, draft, &solution)) {
+                let used = options.instruments == Instruments::On || found.statistic.abs() > found.threshold;
+                solution = if used { own } else { solution };
+                check = Some(InstrumentCheck { used, ..found });
+            }
             draft.beta = solution.beta.clone();
             draft.rescale(data);
-            out.push(finish(draft, Solution { sigma: draft.sigma.clone(), ..solution })?);
+            out.push(finish(draft, Solution { sigma: draft.sigma.clone(), ..solution }, check)?);
         }
     }
     Ok(out)

@@ -1,7 +1,7 @@
 //! A pass over the rows that bounds the influence of large residuals (Huber 1981).
 
 use super::draft::{Data, Draft};
-use crate::layout::Layout;
+use crate::layout::{Chosen, Layout};
 use crate::stream::{Class, Part, PartRows, Stream};
 use crate::sums::Cells;
 use lacuna_estimation::least_squares::Moments;
@@ -124,33 +124,45 @@ fn losses(data: Data<'_>, kept: &Kept, recording: usize, drafts: &[Draft]) -> Lo
     let mut out = Losses::default();
     for (j, (layout, joint)) in data.stream.layout.iter().zip(&kept.joints).enumerate() {
         let m = layout.len();
-        let mut row = vec![0.0; layout.width() + 1];
         for (d, draft) in drafts.iter().enumerate() {
             let chosen = draft.chosen_in(data, recording, j);
-            let mut residual = vec![0.0; m];
-            chosen.residual(layout, draft.beta.as_slice()).into_iter().for_each(|(i, f)| residual[i] += f);
-            let y = chosen.y(layout);
-            let bound = HUBER * draft.sigma[j];
             let mut count = (0, 0.0);
-            for (cell, z) in joint.cell.iter().zip(joint.z.chunks_exact(m)) {
-                let cell = *cell as usize;
-                if !draft.cells[cell] {
-                    continue;
+            beyond(layout, &chosen, draft, j, joint.z.chunks_exact(m), |k, less, row| {
+                let cell = joint.cell[k] as usize;
+                if draft.cells[cell] {
+                    count = (count.0 + 1, count.1 + less);
+                    out.sums.entry((d, cell, j)).or_insert_with(|| Moments::new(row.len())).add_row(less, row);
                 }
-                let e: f64 = z.iter().zip(&residual).map(|(z, c)| f64::from(*z) * c).sum();
-                if e.abs() <= bound {
-                    continue;
-                }
-                let less = 1.0 - bound / e.abs();
-                count = (count.0 + 1, count.1 + less);
-                for slot in 0..layout.width() {
-                    row[slot] = f64::from(z[layout.place(slot, chosen.bristle)]);
-                }
-                row[layout.width()] = y.iter().map(|&(i, f)| f * f64::from(z[i])).sum();
-                out.sums.entry((d, cell, j)).or_insert_with(|| Moments::new(row.len())).add_row(less, &row);
-            }
+            });
             out.counts.insert((d, j), count);
         }
     }
     out
+}
+
+/// Calls `take` with the number, the lost weight 1 − h and \[x y\] of every row whose residual is beyond the bound.
+pub(super) fn beyond<'a, T: Copy + Into<f64> + 'a>(
+    layout: &Layout,
+    chosen: &Chosen,
+    draft: &Draft,
+    j: usize,
+    rows: impl Iterator<Item = &'a [T]>,
+    mut take: impl FnMut(usize, f64, &[f64]),
+) {
+    let mut residual = vec![0.0; layout.len()];
+    chosen.residual(layout, draft.beta.as_slice()).into_iter().for_each(|(i, f)| residual[i] += f);
+    let y = chosen.y(layout);
+    let bound = HUBER * draft.sigma[j];
+    let mut row = vec![0.0; layout.width() + 1];
+    for (k, z) in rows.enumerate() {
+        let e: f64 = z.iter().zip(&residual).map(|(z, c)| (*z).into() * c).sum();
+        if e.abs() <= bound {
+            continue;
+        }
+        for slot in 0..layout.width() {
+            row[slot] = z[layout.place(slot, chosen.bristle)].into();
+        }
+        row[layout.width()] = y.iter().map(|&(i, f)| f * z[i].into()).sum();
+        take(k, 1.0 - bound / e.abs(), &row);
+    }
 }

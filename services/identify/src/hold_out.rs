@@ -127,8 +127,12 @@ impl Context<'_> {
         let stands = self.stands();
         let finish = |draft: &Draft, solution: Solution, instruments: Option<InstrumentCheck>| {
             let at_rest = if stands {
-                let choice =
-                    Choice { excited: solution.excited.clone(), unexcited: Vec::new(), fixed: fixed(&solution) };
+                let choice = Choice {
+                    excited: solution.excited.clone(),
+                    unexcited: Vec::new(),
+                    tolerance: 0.0,
+                    fixed: fixed(&solution),
+                };
                 Some(draft.at_rest(data).solve(&choice)?)
             } else {
                 None

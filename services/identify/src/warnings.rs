@@ -8,6 +8,7 @@ use crate::evaluate::Score;
 use crate::fit::{InstrumentCheck, Solution, Why};
 use crate::outcome::Consistency;
 use crate::sums::Survey;
+use lacuna_estimation::least_squares::GRAM_CONDITION_LIMIT;
 use lacuna_interfaces::RobotFile;
 
 /// Everything that warnings look at.
@@ -150,6 +151,14 @@ fn rank(f: &Findings<'_>, out: &mut Vec<String>) {
                 s.columns[s.base[u.base].column].unit
             ));
         }
+    }
+    if f.solution.digits_lost {
+        out.push(format!(
+            "the normal equations lose digits at a condition number of {:.1e} (expected below {:.0e}): columns that the data \
+             barely tell apart were left out",
+            f.solution.condition_all,
+            GRAM_CONDITION_LIMIT
+        ));
     }
     if f.solution.condition > 1e3 {
         out.push(format!(

@@ -79,6 +79,8 @@ pub struct Solution {
     pub condition: f64,
     /// Condition number before unexcited columns were left out.
     pub condition_all: f64,
+    /// Whether the normal equations could not carry every column that the data tell apart: further ones were left out.
+    pub digits_lost: bool,
     /// XᵀWX and XᵀWy over all base columns, for constrained variants of the fit.
     pub(crate) normal: Gram,
 }

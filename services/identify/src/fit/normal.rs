@@ -13,6 +13,8 @@ pub(crate) struct Choice {
     pub(crate) unexcited: Vec<Unexcited>,
     /// Torque of the unexcited columns is that of the robot file.
     pub(crate) fixed: Vec<f64>,
+    /// Part of a column outside the span of the others below which it was left out.
+    pub(crate) tolerance: f64,
 }
 
 /// Statistics of the blocks that hold rows, over all base columns, and their sum.

@@ -46,7 +46,7 @@ pub(super) fn excited(data: Data<'_>, draft: &Draft, total: &Gram) -> Result<(Ch
         unexcited.sort_by_key(|u| u.base);
         let mut fixed = vec![0.0; base.len()];
         unexcited.iter().for_each(|u| fixed[u.base] = base[u.base].nominal);
-        return Ok((Choice { excited, unexcited, fixed }, total.select(&moved).condition()));
+        return Ok((Choice { excited, unexcited, fixed, tolerance }, total.select(&moved).condition()));
     }
     Err(BadInput::new(
         "found columns that the recordings do not tell apart at any tolerance; expected motion of every joint",
@@ -62,6 +62,7 @@ pub(super) fn settle(data: Data<'_>, draft: &Draft, normal: &Normal) -> Result<S
         let solution = Solution {
             condition: normal.total.select(&choice.excited).condition(),
             condition_all: draft.condition_all,
+            digits_lost: choice.tolerance > DATA_TOLERANCE[0],
             beta,
             covariance,
             blocks,

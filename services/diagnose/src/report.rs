@@ -96,7 +96,16 @@ pub fn outcome(m: &Material<'_>, progress: &mut dyn FnMut(f64, &str)) -> Option<
     findings.extend(unknown_finding);
     findings.sort_by(|a, b| gain(b).total_cmp(&gain(a)));
     let detected = !findings.is_empty();
-    let total_gain = search.compare(&selection.state, &before.fit, &selection.state.fit, Vec::new()).gain;
+    let mut total_gain = search.compare(&selection.state, &before.fit, &selection.state.fit, Vec::new()).gain;
+    if unknown.flag {
+        // What has no name is evidence all the same: by how much it exceeds the noise.
+        let over = |j: usize| (selection.state.fit.held_out_joint(j) / search.layout.joint_count(j).max(1.0)).sqrt();
+        let nats = |j: usize| {
+            let rows = search.layout.joint_count(j) * selection.state.independent[j];
+            rows * (over(j) / noise[j].max(1e-30)).max(1.0).ln()
+        };
+        total_gain = total_gain.max((0..n).map(nats).sum());
+    }
     let held = held_out(m, &proof);
     let excess: Vec<f64> = (0..n)
         .map(|j| {
@@ -144,7 +153,7 @@ pub fn outcome(m: &Material<'_>, progress: &mut dyn FnMut(f64, &str)) -> Option<
         model = simulator.with(&model, scene);
     }
     let mut evidence = Evidence::new(m, &ctx, &proof, &out);
-    if detected {
+    if out.findings.iter().any(|f| f.effect != "unknown") {
         evidence.forward = forward(m, &proof, bare);
     }
     Some(Outcome { findings: out, model, proof: weighed, nulls: m.search.nulls(m.selection), evidence })

@@ -80,7 +80,7 @@ pub fn diagnose(args: &DiagnoseArgs) -> CommandResult {
         },
         seed: args.seed,
     };
-    let outcome = lacuna_diagnose::diagnose(&options, &mut |share, words| progress.at(share, words))?;
+    let outcome = lacuna_diagnose::diagnose(&options, &mut |share, words| progress.at(share, &doing(words)))?;
     progress.step("writing the report");
     let html = lacuna_report::diagnosis_report(&diagnose_report::data(&outcome, &options, started));
     write(&outcome, &args.out)?;
@@ -93,6 +93,24 @@ pub fn diagnose(args: &DiagnoseArgs) -> CommandResult {
         words::say(&(summary(&outcome, options.robot.torque_unit.symbol()) + &files))?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// What the search says of itself, as a user wants to read it.
+fn doing(words: &str) -> String {
+    let effect = |rest: &str| rest.split_whitespace().next().unwrap_or_default().to_owned();
+    if let Some(rest) = words.strip_prefix("  ?") {
+        return format!("trying {}", effect(rest));
+    }
+    if let Some(rest) = words.strip_prefix("+ ") {
+        return format!("taking {} in", effect(rest));
+    }
+    if let Some(rest) = words.strip_prefix("- ") {
+        return format!("taking {} out", effect(rest));
+    }
+    if words.starts_with("band ") || words.starts_with("  ") {
+        return "searching for what is missing".to_owned();
+    }
+    words.to_owned()
 }
 
 fn write(outcome: &Outcome, out: &Path) -> Result<(), Failure> {

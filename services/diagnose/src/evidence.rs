@@ -8,6 +8,7 @@ use crate::report::Material;
 use crate::scene::{Column, Piece};
 use crate::split::Stretch;
 use crate::unknown::since_reversal;
+use lacuna_interfaces::Repair;
 
 /// Material of the report.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -156,4 +157,16 @@ fn trace(proof: &Proof<'_>, index: usize, wanted: &[String], load: Option<&crate
         t_s: samples.iter().map(|k| at(*k)).collect(),
         joints: (0..scene.joints).map(joint).collect(),
     }
+}
+
+/// What was repaired, the stretches of one file together.
+pub(crate) fn repairs(m: &Material<'_>) -> Vec<Repair> {
+    let mut out: Vec<Repair> = Vec::new();
+    for repair in m.scene.repairs.iter().chain(m.test.iter().flat_map(|t| &t.scene.repairs)) {
+        match out.iter_mut().find(|r| r.file == repair.file && r.kind == repair.kind && r.signal == repair.signal) {
+            Some(same) => same.count += repair.count,
+            None => out.push(repair.clone()),
+        }
+    }
+    out
 }

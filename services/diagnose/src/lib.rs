@@ -19,6 +19,7 @@ mod intervals;
 mod locate;
 pub mod model;
 mod model_file;
+mod next;
 mod polish;
 mod proof;
 pub mod rank;

@@ -3,7 +3,7 @@
 
 use crate::context::context;
 use crate::families::Context;
-use crate::findings::Reduction;
+use crate::findings::{HeldOut, Reduction};
 use crate::gram::Fit;
 use crate::held::{Blocks, Squares, left_out};
 use crate::model::Model;
@@ -179,4 +179,28 @@ fn spread(scene: &Scene, torque: &Column) -> Vec<f64> {
         stats::standard_deviation(&counted)
     };
     torque.part.iter().zip(&scene.mask).map(of).collect()
+}
+
+/// Held-out errors with their intervals.
+pub fn held_out(m: &Material<'_>, proof: &Proof<'_>) -> HeldOut {
+    let (before, after) = (proof.squares(&proof.before), proof.squares(&proof.after));
+    let (rival, torque) = (proof.squares(&proof.rival), proof.squares(&proof.torque));
+    let blocks = &proof.blocks;
+    let (before_rms, after_rms) = (blocks.rms_each(&before), blocks.rms_each(&after));
+    let (rival_rms, size) = (blocks.rms_each(&rival), blocks.rms_each(&torque));
+    let each =
+        |s: &Squares| -> Vec<[f64; 2]> { (0..m.scene.joints).map(|j| blocks.interval(&[s], |r| r[0][j])).collect() };
+    let relative = |residual: &[f64], size: &[f64]| proof.relative(residual, size);
+    HeldOut {
+        relative_before: relative(&before_rms, &size),
+        relative_after: relative(&after_rms, &size),
+        black_box_relative: relative(&rival_rms, &size),
+        before_ci95_nm: each(&before),
+        after_ci95_nm: each(&after),
+        relative_after_ci95: blocks.interval(&[&after, &torque], |r| relative(&r[0], &r[1])),
+        black_box_rms_nm: rival_rms,
+        split: m.split.to_owned(),
+        before_rms_nm: before_rms,
+        after_rms_nm: after_rms,
+    }
 }

@@ -4,15 +4,16 @@ use crate::Outcome;
 use crate::base::Base;
 use crate::calibration::{self, Calibration, MOST_MARGIN};
 use crate::context::context;
-use crate::evidence::Evidence;
+use crate::evidence::{Evidence, repairs};
 use crate::families::Context;
 use crate::findings::*;
 use crate::forward::forward;
-use crate::held::{Blocks, Squares, left_out};
+use crate::held::{Blocks, left_out};
 use crate::intervals::parameters;
 use crate::model::{Atom, Model};
 use crate::model_file::model_file;
-use crate::proof::{Bare, Proof};
+use crate::next::next_experiment;
+use crate::proof::{Bare, Proof, held_out};
 use crate::region;
 use crate::rival;
 use crate::scene::{Column, Scene};
@@ -23,7 +24,6 @@ use crate::unknown::Explained;
 use crate::words::Words;
 use lacuna_estimation::filter::noise_sd;
 use lacuna_estimation::stats;
-use lacuna_interfaces::Repair;
 
 /// What the torque's white noise leaves in the band, per joint [Nm].
 pub fn noise_floor(scene: &Scene) -> Vec<f64> {
@@ -95,46 +95,24 @@ pub fn outcome(m: &Material<'_>, progress: &mut dyn FnMut(f64, &str)) -> Option<
     let (unknown, unknown_finding) = unknown(m, &ctx, &rest_box, &fitted_rms);
     findings.extend(unknown_finding);
     findings.sort_by(|a, b| gain(b).total_cmp(&gain(a)));
-    let detected = !findings.is_empty();
-    let mut total_gain = search.compare(&selection.state, &before.fit, &selection.state.fit, Vec::new()).gain;
-    if unknown.flag {
-        // What has no name is evidence all the same: by how much it exceeds the noise.
-        let over = |j: usize| (selection.state.fit.held_out_joint(j) / search.layout.joint_count(j).max(1.0)).sqrt();
-        let nats = |j: usize| {
-            let rows = search.layout.joint_count(j) * selection.state.independent[j];
-            rows * (over(j) / noise[j].max(1e-30)).max(1.0).ln()
-        };
-        total_gain = total_gain.max((0..n).map(nats).sum());
-    }
     let held = held_out(m, &proof);
-    let excess: Vec<f64> = (0..n)
-        .map(|j| {
-            let before = if m.simulator.is_some() { held.before_rms_nm[j] } else { fitted_rms[j] };
-            (before.powi(2) - noise[j].powi(2)).max(0.0) * search.layout.joint_count(j)
-        })
-        .collect();
-    let mut recordings: Vec<String> = Vec::new();
-    for name in scene.names.iter().chain(m.test.iter().flat_map(|t| &t.scene.names)) {
-        if !recordings.contains(name) {
-            recordings.push(name.clone());
-        }
+    let mut gain = search.compare(&selection.state, &before.fit, &selection.state.fit, Vec::new()).gain;
+    if unknown.flag {
+        gain = gain.max(above_noise(m));
     }
+    let base_rms = if m.simulator.is_some() { &held.before_rms_nm } else { &fitted_rms };
+    let mismatch = mismatch(m, &ctx, (&base_residual, base_rms), gain, &findings);
     let mut out = Findings {
         schema: SCHEMA.into(),
         robot: scene.robot.name.clone(),
-        recordings,
+        recordings: recordings(m),
         joints: scene.robot.joints.clone(),
         baseline: Baseline {
             rms_nm: held.before_rms_nm.clone(),
             relative_error: held.relative_before,
             noise_floor_nm: noise.clone(),
         },
-        mismatch: Mismatch {
-            detected,
-            // Evidence beyond that is not evidence of the noise any more, but of the model of the noise.
-            significance: if detected { (-total_gain).exp().clamp(1e-9, 1.0) } else { 1.0 },
-            r#where: if detected { search.locate(&ctx, &base_residual, &excess, &findings) } else { Vec::new() },
-        },
+        mismatch,
         held_out: held,
         unknown,
         excluded: excluded(m),
@@ -159,40 +137,50 @@ pub fn outcome(m: &Material<'_>, progress: &mut dyn FnMut(f64, &str)) -> Option<
     Some(Outcome { findings: out, model, proof: weighed, nulls: m.search.nulls(m.selection), evidence })
 }
 
-/// Held-out errors with their intervals.
-fn held_out(m: &Material<'_>, proof: &Proof<'_>) -> HeldOut {
-    let (before, after) = (proof.squares(&proof.before), proof.squares(&proof.after));
-    let (rival, torque) = (proof.squares(&proof.rival), proof.squares(&proof.torque));
-    let blocks = &proof.blocks;
-    let (before_rms, after_rms) = (blocks.rms_each(&before), blocks.rms_each(&after));
-    let (rival_rms, size) = (blocks.rms_each(&rival), blocks.rms_each(&torque));
-    let each =
-        |s: &Squares| -> Vec<[f64; 2]> { (0..m.scene.joints).map(|j| blocks.interval(&[s], |r| r[0][j])).collect() };
-    let relative = |residual: &[f64], size: &[f64]| proof.relative(residual, size);
-    HeldOut {
-        relative_before: relative(&before_rms, &size),
-        relative_after: relative(&after_rms, &size),
-        black_box_relative: relative(&rival_rms, &size),
-        before_ci95_nm: each(&before),
-        after_ci95_nm: each(&after),
-        relative_after_ci95: blocks.interval(&[&after, &torque], |r| relative(&r[0], &r[1])),
-        black_box_rms_nm: rival_rms,
-        split: m.split.to_owned(),
-        before_rms_nm: before_rms,
-        after_rms_nm: after_rms,
-    }
-}
-
-/// What was repaired, the stretches of one file together.
-fn repairs(m: &Material<'_>) -> Vec<Repair> {
-    let mut out: Vec<Repair> = Vec::new();
-    for repair in m.scene.repairs.iter().chain(m.test.iter().flat_map(|t| &t.scene.repairs)) {
-        match out.iter_mut().find(|r| r.file == repair.file && r.kind == repair.kind && r.signal == repair.signal) {
-            Some(same) => same.count += repair.count,
-            None => out.push(repair.clone()),
+/// Names of all recordings, each once.
+fn recordings(m: &Material<'_>) -> Vec<String> {
+    let mut out: Vec<String> = Vec::new();
+    for name in m.scene.names.iter().chain(m.test.iter().flat_map(|t| &t.scene.names)) {
+        if !out.contains(name) {
+            out.push(name.clone());
         }
     }
     out
+}
+
+/// What has no name is evidence all the same: by how much the model's residual exceeds the noise [nats].
+fn above_noise(m: &Material<'_>) -> f64 {
+    let rms = m.search.held_out_rms(&m.selection.state);
+    let nats = |(j, (rms, noise)): (usize, (&f64, &f64))| {
+        let rows = m.search.layout.joint_count(j) * m.selection.state.independent[j];
+        rows * (rms / noise.max(1e-30)).max(1.0).ln()
+    };
+    rms.iter().zip(&m.search.limits.noise_nm).enumerate().map(nats).sum()
+}
+
+/// Whether and where something is missing: `residual` and `rms` are what is left without findings, at the rows and per joint.
+fn mismatch(
+    m: &Material<'_>,
+    ctx: &Context<'_>,
+    (residual, rms): (&Column, &[f64]),
+    gain: f64,
+    findings: &[Finding],
+) -> Mismatch {
+    if findings.is_empty() {
+        return Mismatch { detected: false, significance: 1.0, r#where: Vec::new() };
+    }
+    let excess: Vec<f64> = rms
+        .iter()
+        .zip(&m.search.limits.noise_nm)
+        .enumerate()
+        .map(|(j, (rms, noise))| (rms.powi(2) - noise.powi(2)).max(0.0) * m.search.layout.joint_count(j))
+        .collect();
+    Mismatch {
+        detected: true,
+        // Evidence beyond that is not evidence of the noise any more, but of the model of the noise.
+        significance: (-gain).exp().clamp(1e-9, 1.0),
+        r#where: m.search.locate(ctx, residual, &excess, findings),
+    }
 }
 
 /// Held-out power that a finding removes.
@@ -398,42 +386,4 @@ fn excluded(m: &Material<'_>) -> Vec<Excluded> {
         out.push(Excluded { effect: id.to_owned(), reason });
     }
     out
-}
-
-/// What to record if two explanations stay open.
-fn next_experiment(findings: &[Finding]) -> Option<NextExperiment> {
-    let open = findings.iter().find_map(|f| {
-        let a = f.alternatives.iter().find(|a| a.probability > 0.1)?;
-        Some((f, a.effect.clone()))
-    });
-    if let Some((f, other)) = open {
-        return Some(NextExperiment {
-            separate: vec![f.effect.clone(), other.clone()],
-            words: format!("lacuna excite --separate {},{other}: {}", f.effect, advice(&f.effect)),
-        });
-    }
-    let group = findings.iter().find(|f| f.group.len() > 1)?;
-    Some(NextExperiment {
-        separate: group.group.clone(),
-        words: format!(
-            "{}; positions and torques in motion alone cannot separate {}",
-            advice(&group.effect),
-            group.group.join(" and ")
-        ),
-    })
-}
-
-fn advice(effect: &str) -> &'static str {
-    match effect {
-        "stribeck" | "viscous_power" => "sweep each joint at constant speeds from creeping to fast",
-        "coulomb_asym" | "torque_offset" => "hold the joint at rest under a known load, approached from both sides",
-        "rotor_inertia" | "arm_inertia" => "repeat with a known mass on the arm, or with the arm taken off the gear",
-        "gravity_spring" | "cable_spring" | "base_tilt" => "move slowly over the whole range of every joint",
-        "encoder_offset" | "link_length" => "visit the corners of the workspace slowly, then fast",
-        "elasticity" | "backlash" | "torque_delay" => {
-            "shake each joint with a chirp through its resonance, at two amplitudes"
-        }
-        "presliding" => "make reversals of a few milliradians",
-        _ => "record motions over the whole range of positions and speeds",
-    }
 }

@@ -1,6 +1,7 @@
 //! What recordings must be before anything is computed from them.
 
 use lacuna_interfaces::{BadInput, Recording, RobotFile};
+use std::cmp::Ordering;
 
 /// Fewest samples of a recording.
 const LEAST: usize = 64;
@@ -61,7 +62,7 @@ fn one(robot: &RobotFile, r: &Recording) -> Result<(), String> {
             }
         }
     }
-    if let Some(w) = r.t_s.windows(2).position(|w| !(w[1] > w[0])) {
+    if let Some(w) = r.t_s.windows(2).position(|w| w[1].partial_cmp(&w[0]) != Some(Ordering::Greater)) {
         return Err(format!("found a time that does not rise after sample {}; expected rising times", w + 1));
     }
     Ok(())

@@ -103,22 +103,34 @@ pub fn prove(args: &ProveArgs) -> CommandResult {
         shared: args.shared.clone(),
     };
     let mut sections: Vec<Section> = Vec::new();
-    for part in args.part.parts() {
+    let mut failed = None;
+    let parts = args.part.parts();
+    for part in parts {
         let mut screen = Screen { progress: Progress::bar(), part: part.name(), json: args.json };
-        let section = lacuna_prove::prove(*part, &options, &mut screen).map_err(failure)?;
+        let made = lacuna_prove::prove(*part, &options, &mut screen);
         drop(screen);
+        let section = match made {
+            Ok(section) => section,
+            Err(e) if parts.len() == 1 => return Err(failure(e)),
+            // The other parts, half an hour of work, are not lost with this one.
+            Err(e) => {
+                let why = format!("this part could not be made: {e}");
+                failed.get_or_insert(failure(e));
+                Section::skipped(*part, part.name(), &options, why)
+            }
+        };
         if !args.json {
             words::say(&format!("\n{}", section.text()))?;
         }
         sections.push(section);
-    }
-    if let Some(path) = &args.write {
-        write(path, &sections)?;
+        if let Some(path) = &args.write {
+            write(path, &sections)?;
+        }
     }
     if args.json {
         words::print_json(&sections)?;
     }
-    Ok(ExitCode::SUCCESS)
+    failed.map_or(Ok(ExitCode::SUCCESS), Err)
 }
 
 fn write(path: &Path, sections: &[Section]) -> Result<(), Failure> {

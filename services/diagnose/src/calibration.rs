@@ -17,6 +17,7 @@
 //!
 //! Platt 1999 (probabilities by logistic regression); Vovk, Gammerman, Shafer 2005 (quantiles of past errors).
 
+pub mod cases;
 pub mod fit;
 
 use crate::findings::Alternative;

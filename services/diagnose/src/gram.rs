@@ -154,6 +154,15 @@ impl Gram {
         Self { size: self.size, blocks }.subset(&keep)
     }
 
+    /// Coefficients from all folds.
+    pub fn coefficients(&self, layout: &Layout, weights: &[f64], precision: &[f64]) -> Option<Vec<f64>> {
+        let mut total = DMatrix::<f64>::zeros(self.size, self.size);
+        for (i, block) in self.blocks.iter().enumerate() {
+            total += block * weights[i % layout.joints];
+        }
+        solve(&total, precision).map(|(beta, _, _)| beta.as_slice().to_vec())
+    }
+
     /// Fits with `weights` per joint and `precision` per column, with every fold left out in turn.
     pub fn fit(&self, layout: &Layout, weights: &[f64], precision: &[f64]) -> Option<Fit> {
         let p = self.size - 1;

@@ -16,14 +16,23 @@ const UNSETTLED: f64 = 1.6;
 /// How much a round of refinement must gain for another one [nats].
 const WORTH_NATS: f64 = 1.0;
 
+/// How thoroughly shapes are refined.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Polish {
+    /// Rounds over all terms.
+    pub rounds: usize,
+    /// Simulated terms too, in the first round: they are dear.
+    pub driven: bool,
+}
+
 impl Search<'_> {
     /// Refines the shapes of all terms beside each other, round after round, and makes terms that depend on the
     /// model's torque anew.
-    pub(crate) fn polish(&self, base: &Base, model: &mut Model, state: &mut State, rounds: usize) -> Option<()> {
-        for round in 0..rounds {
+    pub(crate) fn polish(&self, base: &Base, model: &mut Model, state: &mut State, how: Polish) -> Option<()> {
+        for round in 0..how.rounds {
             let mut gained = 0.0;
             for i in 0..model.atoms.len() {
-                gained += self.polish_one(base, model, state, i, round)?;
+                gained += self.polish_one(base, model, state, i, how.driven && round == 0)?;
             }
             *state = self.fit(model)?;
             if gained < WORTH_NATS {
@@ -34,14 +43,14 @@ impl Search<'_> {
     }
 
     /// Refines term `i` beside the others; what it gained [nats].
-    fn polish_one(&self, base: &Base, model: &mut Model, state: &State, i: usize, round: usize) -> Option<f64> {
+    fn polish_one(&self, base: &Base, model: &mut Model, state: &State, i: usize, driven: bool) -> Option<f64> {
         let atom = model.atoms[i].clone();
         let family = &self.families[atom.family];
-        if family.event {
+        if family.event || (family.driven && !driven) {
             return Some(0.0);
         }
         let ctx = context(self.scene, base, self, model, Some(state));
-        let sharp = family.refinable(&ctx, atom.joint) && !(family.driven && round > 0);
+        let sharp = family.refinable(&ctx, atom.joint);
         if !sharp && !family.dynamic {
             return Some(0.0);
         }
@@ -96,7 +105,7 @@ impl Search<'_> {
             let gone: Vec<usize> = (0..model.atoms.len()).filter(|i| self.effect_of(&model.atoms[*i]) == id).collect();
             let mut trial = model.without(&gone);
             let mut trial_state = self.fit(&mut trial)?;
-            self.polish(base, &mut trial, &mut trial_state, 2)?;
+            self.polish(base, &mut trial, &mut trial_state, Polish { rounds: 2, driven: false })?;
             if self.better((model, state), (&trial, &trial_state)) > 0.0 {
                 progress(0.78, &format!("- {id}: {nats:.0} nats, none beside the others refined"));
                 (*model, *state) = (trial, trial_state);
@@ -107,7 +116,14 @@ impl Search<'_> {
         }
     }
 
-    fn effect_of(&self, atom: &Atom) -> &'static str {
+    /// Whether an inertia of a joint is the part that a coupled motor has at that joint by itself: the catalogue's
+    /// law of coupled axes leaves it to the joint's own inertia.
+    pub(crate) fn is_part_of_coupling(&self, model: &Model, atom: &Atom) -> bool {
+        let coupled = |a: &Atom| self.effect_of(a) == "axis_coupling" && (a.joint..=a.joint + 1).contains(&atom.joint);
+        self.effect_of(atom) == "rotor_inertia" && model.atoms.iter().any(coupled)
+    }
+
+    pub(crate) fn effect_of(&self, atom: &Atom) -> &'static str {
         self.families[atom.family].id()
     }
 
@@ -168,7 +184,7 @@ impl Search<'_> {
                     rest = self.fit(&mut trial)?;
                 }
             }
-            self.polish(base, &mut trial, &mut rest, 1)?;
+            self.polish(base, &mut trial, &mut rest, Polish { rounds: 1, driven: true })?;
             self.prune(&mut trial, &mut rest, progress)?;
             let nats = self.better((model, state), (&trial, &rest));
             progress(0.76, &format!("{} in place of what is at joint {}: {nats:.0} nats", self.label(&best), j + 1));

@@ -19,6 +19,8 @@ pub struct Ranked {
 
 /// What share of the best candidate's gain, less a few nats, is nearly as good.
 const NEARLY: f64 = 0.9;
+/// Larger amplitudes than any robot has, in any unit.
+const MOST_AMPLITUDE: f64 = 1e6;
 /// Residual over noise from which a joint may be a soft one.
 const SHAKEN: f64 = 2.0;
 /// See [`NEARLY`].
@@ -42,6 +44,10 @@ impl Search<'_> {
 
     pub(crate) fn rank(&self, ctx: &Context<'_>, model: &Model, state: &State, atoms: Vec<Atom>) -> Option<Ranked> {
         let score = self.score(model, state, &atoms.iter().collect::<Vec<_>>())?;
+        if score.amplitude.iter().any(|a| !(a.abs() < MOST_AMPLITUDE)) {
+            // A column that is zero but for rounding.
+            return None;
+        }
         let mut at = 0;
         for atom in &atoms {
             let own = &score.amplitude[at..at + atom.width()];

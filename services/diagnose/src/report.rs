@@ -200,13 +200,17 @@ fn named(
     let mut done: Vec<&str> = Vec::new();
     for atom in &model.atoms {
         let family = &m.search.families[atom.family];
-        if done.contains(&family.id()) {
+        if done.contains(&family.id()) || m.search.is_part_of_coupling(model, atom) {
             continue;
         }
         done.push(family.id());
-        let all: Vec<usize> =
-            (0..model.atoms.len()).filter(|i| m.search.families[model.atoms[*i].family].id() == family.id()).collect();
-        let mut joints: Vec<usize> = all.iter().flat_map(|i| family.joints(model.atoms[*i].joint)).collect();
+        let belongs = |a: &Atom| match m.search.is_part_of_coupling(model, a) {
+            true => family.id() == "axis_coupling",
+            false => m.search.effect_of(a) == family.id(),
+        };
+        let all: Vec<usize> = (0..model.atoms.len()).filter(|i| belongs(&model.atoms[*i])).collect();
+        let acts_on = |a: &Atom| m.search.families[a.family].joints(a.joint);
+        let mut joints: Vec<usize> = all.iter().flat_map(|i| acts_on(&model.atoms[*i])).collect();
         joints.sort_unstable();
         joints.dedup();
         let names: Vec<String> = joints.iter().map(|j| m.scene.robot.joints[*j].clone()).collect();

@@ -8,11 +8,11 @@
 
 use crate::families::{Context, Family};
 use crate::gram::{Fit, Gram, Layout};
-use crate::model::{Atom, BaseColumn, BaseRole, Model};
+use crate::model::{Atom, BaseRole, Model};
 use crate::scene::{Column, Scene};
 use crate::tolerance::DELAY;
 use rayon::prelude::*;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 /// A model with its fit.
 pub struct State {
@@ -248,48 +248,39 @@ impl<'a> Search<'a> {
 
     /// What `atoms` would add to the fitted model.
     ///
-    /// Tolerances that were held at their limit may go back within it beside the candidate: what pushed them
-    /// there may be what the candidate explains. Where they would not go back they stay held.
+    /// Tolerances that were held at their limit may go back within it beside the candidate, each on its own: what
+    /// pushed them there may be what the candidate explains.
     pub fn score(&self, model: &Model, state: &State, atoms: &[&Atom]) -> Option<Score> {
         let own = atoms.iter().map(|a| a.width()).sum::<usize>();
-        if let Some(soft) = &state.soft {
-            let all: Vec<usize> = (0..model.base.len()).collect();
-            let fit = self.fit_with(&model.all_columns(), (&soft.gram, &soft.target), (model, &all), state, atoms)?;
-            let within = |(base, b): (&BaseColumn, &f64)| base.role.held_at(*b, 1.05).is_none();
-            if model.base.iter().zip(&fit.beta).all(within) {
-                let amplitude = fit.beta[fit.beta.len() - own..].to_vec();
-                return Some(self.compare(state, &state.fit, &fit, amplitude));
-            }
-        }
-        let free = model.free_base();
-        let mut fit = self.fit_with(&model.columns(), (&state.gram, &state.target), (model, &free), state, atoms)?;
-        fit.prior_nats += self.held_nats(model);
-        let amplitude = fit.beta[fit.beta.len() - own..].to_vec();
-        Some(self.compare(state, &state.fit, &fit, amplitude))
-    }
-
-    /// Fit of `columns` (whose products are `gram`) and `atoms` together.
-    fn fit_with(
-        &self,
-        columns: &[&Column],
-        (gram, target): (&Gram, &Column),
-        (model, base): (&Model, &[usize]),
-        state: &State,
-        atoms: &[&Atom],
-    ) -> Option<Fit> {
+        let (gram, target) = state.soft.as_ref().map_or((&state.gram, &state.target), |s| (&s.gram, &s.target));
         let mut have = vec![target];
-        have.extend(columns);
+        have.extend(model.all_columns());
         let free: Vec<&Column> = atoms.iter().filter(|a| !a.fixed).flat_map(|a| &a.columns).collect();
         let fixed: Vec<&Column> = atoms.iter().filter(|a| a.fixed).flat_map(|a| &a.columns).collect();
         let mut more = free.clone();
         more.extend(&fixed);
-        let mut gram = gram.extended(&self.layout, &have, &more);
-        let size = columns.len() + more.len();
+        let size = have.len() - 1 + more.len();
         let acting: Vec<(usize, f64)> = (size - fixed.len()..size).map(|slot| (slot, 1.0)).collect();
-        gram = gram.held(&acting);
-        let mut precision = self.precision_of(model, base, atoms);
-        precision.extend(free.iter().map(|_| 0.0));
-        gram.fit(&self.layout, &state.weights, &precision)
+        let gram = gram.extended(&self.layout, &have, &more).held(&acting);
+        let mut trial = Model { base: Arc::clone(&model.base), clamped: Vec::new(), atoms: Vec::new() };
+        let precision = |trial: &Model| {
+            let mut out = self.precision_of(model, &trial.free_base(), atoms);
+            out.extend(free.iter().map(|_| 0.0));
+            out
+        };
+        if state.soft.is_some() {
+            for _ in 0..CLAMP_ROUNDS {
+                let held = gram.held(&trial.clamped);
+                let beta = held.coefficients(&self.layout, &state.weights, &precision(&trial))?;
+                if !trial.clamp(&beta) {
+                    break;
+                }
+            }
+        }
+        let mut fit = gram.held(&trial.clamped).fit(&self.layout, &state.weights, &precision(&trial))?;
+        fit.prior_nats += self.held_nats(&trial);
+        let amplitude = fit.beta[fit.beta.len() - own..].to_vec();
+        Some(self.compare(state, &state.fit, &fit, amplitude))
     }
 
     /// Gain of `new` over `old`.

@@ -4,6 +4,7 @@ use crate::base::Base;
 use crate::context::context;
 use crate::families::Context;
 use crate::model::{BaseRole, Model};
+use crate::polish::Polish;
 use crate::rank::Ranked;
 use crate::search::{Search, State};
 use crate::swap::Rivals;
@@ -184,7 +185,7 @@ impl Search<'_> {
             }
             (model, state) = (next, next_state);
             if model.atoms.len() > 1 {
-                self.polish(base, &mut model, &mut state, 1)?;
+                self.polish(base, &mut model, &mut state, Polish { rounds: 1, driven: false })?;
             }
             self.prune(&mut model, &mut state, progress)?;
             let entered = best.atoms.iter().map(|a| (a.family, a.joint));
@@ -196,7 +197,7 @@ impl Search<'_> {
                 return Some(Selection { model, state, rivals: Vec::new(), blank, excluded });
             }
         }
-        self.polish(base, &mut model, &mut state, 2)?;
+        self.polish(base, &mut model, &mut state, Polish { rounds: 2, driven: true })?;
         self.prune(&mut model, &mut state, progress)?;
         progress(0.75, "trying what else could explain it");
         self.soften(base, &mut model, &mut state, progress)?;

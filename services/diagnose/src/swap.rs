@@ -3,6 +3,7 @@
 use crate::base::Base;
 use crate::context::context;
 use crate::model::{Atom, Model};
+use crate::polish::Polish;
 use crate::rank::Ranked;
 use crate::search::{Search, State};
 use rayon::prelude::*;
@@ -72,11 +73,16 @@ impl Search<'_> {
                 let better = self.refined(&ctx, &without, &rest, best);
                 progress(0.8, &format!("{id} -> {}", self.label(&better)));
                 swaps += 1;
-                without.atoms.extend(better.atoms);
-                *model = without;
-                *state = self.fit(model)?;
-                self.prune(model, state, progress)?;
-                continue;
+                let mut trial = without.clone();
+                trial.atoms.extend(better.atoms);
+                let mut trial_state = self.fit(&mut trial)?;
+                self.polish(base, &mut trial, &mut trial_state, Polish { rounds: 1, driven: false })?;
+                // Judged beside each other at the same weights: those without either are blunt.
+                if self.better((model, state), (&trial, &trial_state)) > 0.0 {
+                    (*model, *state) = (trial, trial_state);
+                    self.prune(model, state, progress)?;
+                    continue;
+                }
             }
             let mut others: Vec<(&'static str, f64)> = Vec::new();
             for r in &ranked {

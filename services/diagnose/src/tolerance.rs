@@ -19,6 +19,7 @@ use lacuna_estimation::filter::{Stencil, differentiate};
 use lacuna_interfaces::robot::Kind;
 use lacuna_physics::delta::parameters::{GC, INERTIA, M_GR, M_IN, M_JE};
 use lacuna_physics::effects::{self, EffectContext, Track};
+use nalgebra::{Matrix3, Vector3};
 use std::collections::BTreeMap;
 
 /// Name of the tolerance of half a sample of delay.
@@ -179,23 +180,42 @@ fn delta(scene: &Scene) -> Vec<Tolerance> {
     out
 }
 
-/// Mass with all that follows from it, where its centre is, and the rotor, link by link.
+/// Link by link: mass with all that follows from it, where its centre is (with Steiner's part of the inertia), its
+/// inertia about the centre, and the rotor.
 fn serial(scene: &Scene) -> Vec<Tolerance> {
+    const INERTIAS: [(&str, usize, usize); 6] =
+        [("Ixx", 0, 0), ("Ixy", 0, 1), ("Ixz", 0, 2), ("Iyy", 1, 1), ("Iyz", 1, 2), ("Izz", 2, 2)];
+    let tol = scene.robot.tolerance.mass;
+    let parameters = scene.body.parameters();
     let mut out = Vec::new();
     for j in 0..scene.joints {
-        for (name, symbols) in [
-            ("mass", &["m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz"][..]),
-            ("centre", &["mx", "my", "mz"][..]),
-            ("rotor", &["Ia"][..]),
-        ] {
-            let mut tolerance = Tolerance::named(scene, &format!("link {} {name}", j + 1));
-            for ((v, p), nominal) in tolerance.pi.iter_mut().zip(scene.body.parameters()).zip(&scene.pi) {
-                if symbols.iter().any(|s| p.symbol == format!("{s}{}", j + 1)) {
-                    *v = scene.robot.tolerance.mass * nominal;
-                }
-            }
-            out.push(tolerance);
-        }
+        let slot = |symbol: &str| parameters.iter().position(|p| p.symbol == format!("{symbol}{}", j + 1));
+        let value = |symbol: &str| slot(symbol).and_then(|i| scene.pi.get(i)).copied().unwrap_or(0.0);
+        let (mass, moment) = (value("m"), Vector3::new(value("mx"), value("my"), value("mz")));
+        // m (c·c 1 − c cᵀ), from the first moment m c.
+        let steiner = if mass > 0.0 {
+            (Matrix3::identity() * moment.norm_squared() - moment * moment.transpose()) / mass
+        } else {
+            Matrix3::zeros()
+        };
+        let link = |name: &str, changes: Vec<(&str, f64)>| {
+            let changes: Vec<(usize, f64)> =
+                changes.into_iter().filter_map(|(s, v)| Some((slot(s)?, tol * v))).collect();
+            Tolerance::named(scene, &format!("link {} {name}", j + 1)).with(&changes)
+        };
+        let moments = [("mx", moment.x), ("my", moment.y), ("mz", moment.z)];
+        let about = |f: &dyn Fn(f64, f64) -> f64| -> Vec<(&'static str, f64)> {
+            INERTIAS.iter().map(|(s, r, c)| (*s, f(value(s), steiner[(*r, *c)]))).collect()
+        };
+        let mut all = vec![("m", mass)];
+        all.extend(moments);
+        all.extend(about(&|whole, _| whole));
+        let mut centre = moments.to_vec();
+        centre.extend(about(&|_, steiner| 2.0 * steiner));
+        out.push(link("mass", all));
+        out.push(link("centre", centre));
+        out.push(link("inertia", about(&|whole, steiner| whole - steiner)));
+        out.push(link("rotor", vec![("Ia", value("Ia"))]));
     }
     out
 }

@@ -4,30 +4,15 @@
 use crate::progress::Progress;
 use crate::{CommandResult, words};
 use clap::Args;
-use lacuna_diagnose::calibration::fit::{self, Number, Observation, Quality};
-use lacuna_diagnose::calibration::{Calibration, NumberKind};
-use lacuna_diagnose::findings::Finding;
-use lacuna_diagnose::{Conditioning, Options, Outcome, diagnose_with};
+use lacuna_diagnose::calibration::Calibration;
+use lacuna_diagnose::calibration::cases::{CHECK_SEED, MAKE_SEED, WORDS, observe};
+use lacuna_diagnose::calibration::fit::{self, Observation, Quality};
 use lacuna_interfaces::BadInput;
-use lacuna_interfaces::robot::Kind;
-use lacuna_physics::effects;
-use lacuna_simulate::case::drawable;
 use lacuna_simulate::case::PROOF_SEEDS_FROM;
-use lacuna_simulate::effects::Class;
-use lacuna_simulate::{CaseOptions, EffectTruth, Simulation, Truth, draw_case, simulate};
 use lacuna_stage::Failure;
-use rayon::prelude::*;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
-
-/// First seed of the cases that a calibration is made from.
-const MAKE_SEED: u64 = 500_000;
-/// First seed of the cases that one is measured on.
-const CHECK_SEED: u64 = 600_000;
-/// Golden section: spreads mass errors evenly over the cases.
-const SPREAD: f64 = 0.618_033_988_75;
 
 #[derive(Args)]
 pub struct CalibrateArgs {
@@ -57,18 +42,11 @@ pub fn calibrate(args: &CalibrateArgs) -> CommandResult {
         return Err(BadInput::new(what).into());
     }
     let progress = Mutex::new(Progress::bar());
-    let done = AtomicUsize::new(0);
-    let seen: Vec<Observation> = (0..args.cases)
-        .into_par_iter()
-        .filter_map(|k| {
-            let observation = observe(first + k as u64, &case_options(k), &calibration);
-            let count = done.fetch_add(1, Ordering::Relaxed) + 1;
-            if let Ok(bar) = progress.lock() {
-                bar.at(count as f64 / args.cases as f64, &format!("{count} of {} robots", args.cases));
-            }
-            observation
-        })
-        .collect();
+    let seen = observe(first, args.cases, &calibration, &|count| {
+        if let Ok(bar) = progress.lock() {
+            bar.at(count as f64 / args.cases as f64, &format!("{count} of {} robots", args.cases));
+        }
+    });
     drop(progress);
     let Some(out) = &args.out else {
         return words::say(&summary(&fit::quality(&calibration, &seen), &seen, args.cases)).map(|()| ExitCode::SUCCESS);
@@ -76,114 +54,12 @@ pub fn calibrate(args: &CalibrateArgs) -> CommandResult {
     let made = fit::fit(&seen);
     let body = toml::to_string(&made).map_err(|e| Failure::run(format!("calibration: {e}")))?;
     let header = format!(
-        "# Made by `lacuna calibrate --cases {} --seed {first}`: simulated Deltas and serial arms, one in four without\n\
-         # anything missing, three in eight with one effect, two in eight with two, one in eight with an effect outside\n\
-         # the catalogue; strengths 0.4 to 1.6 of the usual, masses up to 3 % off. `lacuna calibrate --check` measures it.\n",
+        "# Made by `lacuna calibrate --cases {} --seed {first}`:\n# {WORDS}.\n# `lacuna calibrate --check` measures it.\n",
         args.cases
     );
     words::write(out, (header + &body).as_bytes())?;
     words::say(&format!("{}File: {}\n", summary(&fit::quality(&made, &seen), &seen, args.cases), out.display()))?;
     Ok(ExitCode::SUCCESS)
-}
-
-/// What the `k`-th robot is like.
-fn case_options(k: usize) -> CaseOptions {
-    let kind = if (k / 8) % 3 == 2 { Kind::Serial } else { Kind::Delta };
-    let named: Vec<&str> =
-        drawable(kind).into_iter().filter(|(_, class)| *class == Class::Catalogue).map(|(id, _)| id).collect();
-    let single = named.get((k / 8 * 3 + k % 8) % named.len().max(1)).map(|id| (*id).to_owned());
-    let (effects, ids, unknown) = match k % 8 {
-        0 | 1 => (0, Vec::new(), false),
-        2..=4 => (1, single.into_iter().collect(), false),
-        5 | 6 => (2, Vec::new(), false),
-        _ => (1, Vec::new(), true),
-    };
-    CaseOptions {
-        kind,
-        effects,
-        ids,
-        unknown,
-        severity: [0.4, 1.6],
-        mass_error: 0.03 * (k as f64 * SPREAD).fract(),
-        ..CaseOptions::default()
-    }
-}
-
-/// Draws, simulates and diagnoses a robot; `None` if it cannot be drawn or recorded.
-fn observe(seed: u64, options: &CaseOptions, calibration: &Calibration) -> Option<Observation> {
-    let case = draw_case(seed, options).ok()?;
-    let simulation = simulate(&case.robot, None, &case.config).ok()?;
-    let request = Options {
-        robot: case.robot,
-        urdf: None,
-        recordings: simulation.recordings.clone(),
-        sim: Vec::new(),
-        conditioning: Conditioning {
-            start_s: simulation.manifest.files.iter().map(|f| f.start_time_s).collect(),
-            ..Conditioning::default()
-        },
-        seed: 1,
-    };
-    let outcome = diagnose_with(&request, calibration, &mut |_, _| {}).ok()?;
-    Some(observation(&outcome, &simulation, options.kind, calibration))
-}
-
-/// Whether a finding names this effect.
-fn is_right(finding: &Finding, truth: &EffectTruth) -> bool {
-    let name =
-        truth.also_accept.contains(&finding.effect) || finding.effect == truth.id || finding.group.contains(&truth.id);
-    let joints = &truth.joints;
-    name && (finding.joints.is_empty() || joints.is_empty() || finding.joints.iter().any(|j| joints.contains(j)))
-}
-
-fn observation(outcome: &Outcome, simulation: &Simulation, kind: Kind, calibration: &Calibration) -> Observation {
-    let truth: &Truth = &simulation.truth;
-    let findings = &outcome.findings.findings;
-    let said: Vec<&Finding> = findings.iter().filter(|f| f.effect != "unknown").collect();
-    let right = |f: &&Finding| truth.effects.iter().any(|t| is_right(f, t));
-    let named = outcome
-        .proof
-        .iter()
-        .filter_map(|(id, evidence)| Some((*evidence, right(said.iter().find(|f| f.effect == *id)?))))
-        .collect();
-    let outside = truth.effects.iter().any(|t| !t.in_catalogue());
-    let unknown = findings.iter().filter(|f| f.effect == "unknown").map(|_| outside).collect();
-    let complete = truth.effects.iter().all(|t| said.iter().any(|f| is_right(f, t))) && said.iter().all(right);
-    Observation {
-        nulls: if complete { outcome.nulls.clone() } else { Vec::new() },
-        named,
-        unknown,
-        numbers: truth
-            .effects
-            .iter()
-            .flat_map(|t| said.iter().filter(|f| f.effect == t.id && is_right(f, t)).map(move |f| (*f, t)))
-            .flat_map(|(f, t)| numbers(f, t, kind, calibration))
-            .collect(),
-    }
-}
-
-/// The numbers of a finding that the truth states. Orders and powers of a list are chosen, not measured.
-fn numbers(finding: &Finding, truth: &EffectTruth, kind: Kind, calibration: &Calibration) -> Vec<Number> {
-    const CHOSEN: [&str; 4] = ["h", "rho", "T_ref", "t_0"];
-    let amplitude =
-        |symbol: &str| effects::find(&truth.id).is_some_and(|e| e.amplitudes(kind).any(|a| a.symbol == symbol));
-    finding
-        .parameters
-        .iter()
-        .filter(|p| !CHOSEN.contains(&p.symbol.as_str()))
-        .filter(|p| p.joint.as_ref().is_none_or(|j| truth.joints.first().is_none_or(|t| t == j)))
-        .filter_map(|p| {
-            let value = truth.params.get(&p.symbol)?;
-            let half = 0.5 * (p.ci95[1] - p.ci95[0]);
-            let kind = if amplitude(&p.symbol) { NumberKind::Amplitude } else { NumberKind::Shape };
-            Some(Number {
-                name: format!("{}.{}", truth.id, p.symbol),
-                kind,
-                distance: (p.value - value).abs() / half.max(1e-300),
-                factor: calibration.factor(&truth.id, &p.symbol, kind),
-            })
-        })
-        .collect()
 }
 
 fn summary(q: &Quality, seen: &[Observation], cases: usize) -> String {

@@ -1,6 +1,7 @@
 //! `lacuna`: the command line.
 
 mod bench;
+mod calibrate;
 mod chosen;
 mod demo;
 mod diagnose;
@@ -51,6 +52,8 @@ enum Command {
     Identify(identify::IdentifyArgs),
     /// Find the physics that the robot's model leaves out: where, what, how large, how sure.
     Diagnose(diagnose::DiagnoseArgs),
+    /// Calibrate the diagnosis on simulated robots whose truth is known, or measure how well it is calibrated.
+    Calibrate(calibrate::CalibrateArgs),
     /// Simulate closed-loop recordings of a robot; the truth goes to a file of its own.
     Simulate(simulate::SimulateArgs),
     /// Design a motion that identifies the robot best, within its limits.
@@ -76,6 +79,7 @@ fn main() -> ExitCode {
         Command::Logs(args) => runs::logs(&args),
         Command::Identify(args) => identify::identify(&args),
         Command::Diagnose(args) => diagnose::diagnose(&args),
+        Command::Calibrate(args) => calibrate::calibrate(&args),
         Command::Simulate(args) => simulate::simulate(&args),
         Command::Excite(args) => excite::excite(&args),
         Command::Info(args) => info::info(&args),

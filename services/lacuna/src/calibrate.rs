@@ -38,7 +38,9 @@ pub fn calibrate(args: &CalibrateArgs) -> CommandResult {
     let calibration = Calibration::built_in()?;
     let first = args.seed.unwrap_or(if args.check { CHECK_SEED } else { MAKE_SEED });
     if first.saturating_add(args.cases as u64) > PROOF_SEEDS_FROM {
-        let what = format!("--seed: found {first}; expected seeds below {PROOF_SEEDS_FROM}, from there on they are the proof's");
+        let what = format!(
+            "--seed: found {first}; expected seeds below {PROOF_SEEDS_FROM}, from there on they are the proof's"
+        );
         return Err(BadInput::new(what).into());
     }
     let progress = Mutex::new(Progress::bar());

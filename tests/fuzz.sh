@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # Coverage-guided fuzzing of every parser with libFuzzer:  tests/fuzz.sh [SECONDS PER TARGET] [TARGET …]
-# Targets: fuzz_csv fuzz_mcap fuzz_robot fuzz_model fuzz_graph fuzz_urdf (services/recording/tests/fuzz.rs).
+# Targets: fuzz_csv fuzz_mcap fuzz_robot fuzz_model fuzz_graph fuzz_urdf fuzz_capture fuzz_eni (services/recording/tests/fuzz.rs).
 # Needs a C++ compiler. What it learns is kept under target/fuzz/; an input that fails is printed and kept there.
 set -uo pipefail
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 cd "$root" || exit 1
 seconds=${1:-60}
 shift || true
-[ $# -gt 0 ] || set -- fuzz_csv fuzz_mcap fuzz_robot fuzz_model fuzz_graph fuzz_urdf
+[ $# -gt 0 ] || set -- fuzz_csv fuzz_mcap fuzz_robot fuzz_model fuzz_graph fuzz_urdf fuzz_capture fuzz_eni
 target=${CARGO_TARGET_DIR:-$root/target}/fuzz
 export CARGO_TARGET_DIR=$target CARGO_INCREMENTAL=0
 # What `cargo bolero` sets for libFuzzer without a sanitizer; it works with the stable compiler.

@@ -68,9 +68,15 @@ pub fn check(
         problems.push(format!("{} raw samples were recorded twice", all - raw.len()));
     }
     found.raw = raw.len() as u64;
-    explain_missing(&raw, setup.samples, &down, &clock, &mut found);
-    if found.unexplained > 0 {
-        problems.push(format!("{} raw samples are missing although source and recorder were up", found.unexplained));
+    if let Some(first) = explain_missing(&raw, setup.samples, &down, &clock, &mut found) {
+        let at = clock.due_ms(first);
+        problems.push(format!(
+            "{} raw samples are missing although source and recorder were up; the first is number {first}, {} and {}; load {}",
+            found.unexplained,
+            nearest("source", &down.source, at),
+            nearest("recorder", &down.recorder, at),
+            std::fs::read_to_string("/proc/loadavg").unwrap_or_default().trim()
+        ));
     }
     Ok(found)
 }
@@ -170,7 +176,19 @@ fn recorder_losses(files: &[File], down: &Downtimes, clock: &Clock, found: &mut 
     }
 }
 
-fn explain_missing(raw: &[u64], samples: u64, down: &Downtimes, clock: &Clock, found: &mut Recorded) {
+/// Where a moment lies beside the nearest downtime of a process.
+fn nearest(what: &str, spans: &[(f64, f64)], at: f64) -> String {
+    let distance = |(from, to): &(f64, f64)| if at < *from { from - at } else { at - to };
+    match spans.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))) {
+        Some(span) if at < span.0 => format!("{:.0} ms before the {what} was killed", distance(span)),
+        Some(span) => format!("{:.0} ms after the {what} was back", distance(span)),
+        None => format!("the {what} was never killed"),
+    }
+}
+
+/// Counts missing samples by their reason; returns the first that has none.
+fn explain_missing(raw: &[u64], samples: u64, down: &Downtimes, clock: &Clock, found: &mut Recorded) -> Option<u64> {
+    let mut unexplained = None;
     let mut there = raw.iter().copied().peekable();
     for seq in 1..=samples {
         if there.peek() == Some(&seq) {
@@ -185,8 +203,10 @@ fn explain_missing(raw: &[u64], samples: u64, down: &Downtimes, clock: &Clock, f
             found.recorder_down += 1;
         } else {
             found.unexplained += 1;
+            unexplained.get_or_insert(seq);
         }
     }
+    unexplained
 }
 
 /// How far back a kill of the recorder may reach: the flush interval, and further if it had only just come back.

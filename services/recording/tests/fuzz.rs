@@ -104,8 +104,8 @@ fn text(bytes: &[u8]) -> String {
 }
 
 /// Reads a recording to its end or its error.
-fn play(path: &Path) -> Result<(), BadInput> {
-    let mut reader = open(path, &robot())?;
+fn play(path: &Path, robot: &RobotFile) -> Result<(), BadInput> {
+    let mut reader = open(path, robot)?;
     while let Some(sample) = reader.next_sample()? {
         assert!(sample.measured.q_rad.iter().all(|q| q.is_finite()), "a position that is no number");
     }
@@ -125,7 +125,7 @@ fn fuzz_csv() {
     let seen = Judge::default();
     check!().with_iterations(ITERATIONS).with_type::<Mutation>().for_each(|m| {
         std::fs::write(&path, mutate(&seeds, m)).expect("file");
-        seen.judge(|| play(&path));
+        seen.judge(|| play(&path, &robot()));
     });
     seen.saw_both();
 }
@@ -145,7 +145,7 @@ fn fuzz_mcap() {
     let seen = Judge::default();
     check!().with_iterations(ITERATIONS).with_type::<Mutation>().for_each(|m| {
         std::fs::write(&path, mutate(&seeds, m)).expect("file");
-        seen.judge(|| play(&path));
+        seen.judge(|| play(&path, &robot()));
         if let Err(e) = recover(&path, &to, &options) {
             assert!(!e.to_string().contains('\n'), "{e}");
         }
@@ -215,6 +215,44 @@ fn fuzz_urdf() {
     check!().with_iterations(2 * ITERATIONS).with_type::<Mutation>().for_each(|m| {
         let text = text(&mutate(&seeds, m));
         seen.judge(|| lacuna_physics::build(&robot, Some(&text)));
+    });
+    seen.saw_both();
+}
+
+const DRIVES: &str = "kind = \"serial\"\nname = \"pair\"\njoints = [\"shoulder\", \"elbow\"]\n[[dh]]\n[[dh]]\n[drive]\n\
+gear_ratio = [100, -50]\nencoder_bits = [20, 19]\nrated_torque_nm = [200, 80]\n";
+
+fn data(name: &str) -> Vec<u8> {
+    std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)).expect("test data")
+}
+
+#[test]
+fn fuzz_capture() {
+    let by_address = "[ethercat]\ncycle_s = 0.001\n[[ethercat.axis]]\nposition = 0x01000000\ntorque = 0x01000004\n\
+        status = 0x01000006\n[[ethercat.axis]]\nposition = 0x01000008\ntorque = 0x0100000c\n";
+    let robot = RobotFile::parse(&format!("{DRIVES}{by_address}")).expect("robot");
+    let dir = folder();
+    let path = dir.path().join("a.pcap");
+    let seeds = ["drives_us.pcap", "drives_ns_be.pcap", "drives.pcapng"].map(data);
+    let seen = Judge::default();
+    check!().with_iterations(ITERATIONS).with_type::<Mutation>().for_each(|m| {
+        std::fs::write(&path, mutate(&seeds, m)).expect("file");
+        seen.judge(|| play(&path, &robot));
+    });
+    seen.saw_both();
+}
+
+#[test]
+fn fuzz_eni() {
+    let by_name = "[ethercat]\neni = \"drives.xml\"\n[[ethercat.axis]]\nslave = \"Drive 1\"\n[[ethercat.axis]]\nslave = \"Drive 2\"\n";
+    let dir = folder();
+    let path = dir.path().join("robot.toml");
+    std::fs::write(&path, format!("{DRIVES}{by_name}")).expect("file");
+    let seeds = [data("drives.xml")];
+    let seen = Judge::default();
+    check!().with_iterations(ITERATIONS).with_type::<Mutation>().for_each(|m| {
+        std::fs::write(dir.path().join("drives.xml"), mutate(&seeds, m)).expect("file");
+        seen.judge(|| lacuna_recording::load_robot(&path));
     });
     seen.saw_both();
 }

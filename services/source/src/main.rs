@@ -40,6 +40,10 @@ impl Source for Process {
         }
     }
 
+    fn is_live(&self) -> bool {
+        matches!(self, Self::Tap(_))
+    }
+
     fn fraction(&self) -> Option<f64> {
         match self {
             Self::Recording(source) => Some(source.fraction()),

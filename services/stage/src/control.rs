@@ -100,8 +100,13 @@ pub enum Event {
 /// What the supervisor tells a process: one line each on its standard input.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Order {
-    /// To sources: the stream begins, or began, at this reading of CLOCK_MONOTONIC [ns].
-    Go(u64),
+    /// To sources: the stream begins, or has begun.
+    Go {
+        /// When: CLOCK_MONOTONIC [ns].
+        began_ns: u64,
+        /// After a restart: a number the stream had not reached yet, 0 at its beginning.
+        after_seq: u64,
+    },
     /// The writer of this topic has left for good; what is in the buffer is the last of it.
     Ended(String),
 }
@@ -110,7 +115,7 @@ impl Order {
     /// The line, with its end.
     pub fn line(&self) -> String {
         match self {
-            Self::Go(ns) => format!("go {ns}\n"),
+            Self::Go { began_ns, after_seq } => format!("go {began_ns} {after_seq}\n"),
             Self::Ended(topic) => format!("ended {topic}\n"),
         }
     }
@@ -118,7 +123,7 @@ impl Order {
     /// Reads a line; `None` for one that is no order.
     pub fn parse(line: &str) -> Option<Self> {
         match line.split_whitespace().collect::<Vec<_>>().as_slice() {
-            ["go", ns] => ns.parse().ok().map(Self::Go),
+            ["go", ns, seq] => Some(Self::Go { began_ns: ns.parse().ok()?, after_seq: seq.parse().ok()? }),
             ["ended", topic] => Some(Self::Ended((*topic).to_owned())),
             _ => None,
         }
@@ -141,10 +146,10 @@ mod tests {
 
     #[test]
     fn orders_survive_their_line() {
-        for order in [Order::Go(123), Order::Ended("t0".to_owned())] {
+        for order in [Order::Go { began_ns: 123, after_seq: 7 }, Order::Ended("t0".to_owned())] {
             assert_eq!(Order::parse(&order.line()), Some(order));
         }
-        for line in ["", "go", "go x", "go 1 2", "ended", "stop"] {
+        for line in ["", "go", "go x", "go 1", "go 1 x", "ended", "stop"] {
             assert_eq!(Order::parse(line), None, "{line}");
         }
     }

@@ -105,6 +105,8 @@ pub(crate) struct Process {
 struct Orders {
     /// When the stream began [ns], 0 before.
     began_ns: AtomicU64,
+    /// A number the stream had not reached when this process was told to go.
+    after_seq: AtomicU64,
     /// Looked at before the lock is taken.
     any_ended: AtomicBool,
     ended: Mutex<Vec<String>>,
@@ -180,12 +182,12 @@ impl Process {
     }
 
     /// Waits until the supervisor lets the stream begin (or a stop is asked for). Returns when it began, which for a
-    /// source that was started again lies in the past.
-    pub fn wait_for_go(&self) -> u64 {
+    /// source that was started again lies in the past, and a number it had not reached yet.
+    pub fn wait_for_go(&self) -> (u64, u64) {
         loop {
-            let began = self.orders.began_ns.load(Ordering::Relaxed);
+            let began = self.orders.began_ns.load(Ordering::Acquire);
             if began > 0 || self.stop.requested() {
-                return began;
+                return (began, self.orders.after_seq.load(Ordering::Relaxed));
             }
             std::thread::sleep(std::time::Duration::from_millis(1));
         }
@@ -206,7 +208,10 @@ fn watch_supervisor(stop: Stop, orders: Arc<Orders>) {
         for line in std::io::stdin().lock().lines() {
             let Ok(line) = line else { break };
             match Order::parse(&line) {
-                Some(Order::Go(ns)) => orders.began_ns.store(ns.max(1), Ordering::Relaxed),
+                Some(Order::Go { began_ns, after_seq }) => {
+                    orders.after_seq.store(after_seq, Ordering::Relaxed);
+                    orders.began_ns.store(began_ns.max(1), Ordering::Release);
+                }
                 Some(Order::Ended(topic)) => {
                     orders.ended.lock().unwrap_or_else(PoisonError::into_inner).push(topic);
                     orders.any_ended.store(true, Ordering::Release);

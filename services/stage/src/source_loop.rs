@@ -55,6 +55,11 @@ pub trait Source: Sized {
     /// When the sample is due, as time since the first one [ns]; `None` to send as fast as the graph accepts.
     fn due_ns(&self, sample: &Self::Output) -> Option<u64>;
 
+    /// True for a source that takes what happens now; after a restart its numbers go on beyond those of before.
+    fn is_live(&self) -> bool {
+        false
+    }
+
     /// Share of the input that is done, if known.
     fn fraction(&self) -> Option<f64>;
 
@@ -77,11 +82,14 @@ fn body<S: Source>(process: &Process) -> Result<StageReport, Failure> {
         .ok_or_else(|| Failure::usage(format!("node \"{}\": found no output; expected one", process.node.name)))?;
     let mut output = Output::<S::Output>::open(&domain, &process.graph, topic, &process.stop)?;
     Event::Ready.emit();
-    let start = process.wait_for_go();
+    let (start, after_seq) = process.wait_for_go();
 
     let mut pulse = Pulse::new();
     let (mut last_seq, mut flags) = (0, 0);
-    let mut first = if process.restarts > 0 { catch_up(&mut source, start, process)? } else { None };
+    // What a live source missed while it was down is a hole in the numbers, as long as the stream was quick before.
+    let shift = if source.is_live() { after_seq } else { 0 };
+    let behind = process.restarts > 0 && !source.is_live();
+    let mut first = if behind { catch_up(&mut source, start, process)? } else { None };
     let mut flowing = process.restarts == 0;
     // A stop request ends the stream here; the sentinel then ends it everywhere, in order.
     while !process.stop.requested() {
@@ -93,7 +101,12 @@ fn body<S: Source>(process: &Process) -> Result<StageReport, Failure> {
             }
             Next::End => break,
         };
-        sample.header_mut().restarts = process.restarts;
+        let header = sample.header_mut();
+        header.restarts = process.restarts;
+        header.seq += shift;
+        if !flowing {
+            header.flags |= flag::GAP;
+        }
         if let Some(due) = source.due_ns(&sample) {
             sleep_until(start + due, &mut output, process);
         }
@@ -137,7 +150,7 @@ fn body<S: Source>(process: &Process) -> Result<StageReport, Failure> {
 /// hole in the sequence, which every reader counts. Returns the first sample that is not late.
 fn catch_up<S: Source>(source: &mut S, start: u64, process: &Process) -> Result<Option<S::Output>, Failure> {
     while !process.stop.requested() {
-        let mut sample = match source.next_sample()? {
+        let sample = match source.next_sample()? {
             Next::Sample(sample) => sample,
             Next::Wait => continue,
             Next::End => return Ok(None),
@@ -149,7 +162,6 @@ fn catch_up<S: Source>(source: &mut S, start: u64, process: &Process) -> Result<
             )));
         };
         if start + due >= monotonic_ns() {
-            sample.header_mut().flags |= flag::GAP;
             return Ok(Some(sample));
         }
     }

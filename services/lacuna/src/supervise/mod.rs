@@ -239,7 +239,10 @@ impl<'a> Supervisor<'a> {
         if let Some(began_ns) = self.began_ns
             && self.graph.nodes[index].inputs.is_empty()
         {
-            self.nodes[index].tell(&Order::Go(began_ns));
+            let running_s = monotonic_ns().saturating_sub(began_ns) as f64 / 1e9;
+            let again = self.nodes[index].restarts > 0;
+            let after_seq = if again { self.nodes[index].beyond(running_s) } else { 0 };
+            self.nodes[index].tell(&Order::Go { began_ns, after_seq });
         }
     }
 

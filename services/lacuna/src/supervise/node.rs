@@ -15,6 +15,10 @@ use std::time::{Duration, Instant};
 
 /// A node that lasted this long was well; what happens to it next is a new story.
 const WELL: Duration = Duration::from_secs(1);
+/// No source is quicker than this.
+const FASTEST_HZ: f64 = 20_000.0;
+/// How far a source's numbers are set ahead after a restart: what a progress line may have waited on its way.
+const MARGIN: Duration = Duration::from_millis(20);
 /// How long flags are shown.
 const REMEMBER: Duration = Duration::from_secs(5);
 /// The pause before a restart doubles this often at most.
@@ -29,6 +33,10 @@ pub(super) struct NodeState {
     pub samples: u64,
     pub rate_hz: f64,
     rated: (Instant, u64),
+    /// When its last process told of how many samples at which rate.
+    reached: Option<(Instant, u64, f64)>,
+    /// Progress lines of the present process.
+    lines: u32,
     pub gauge: Gauge,
     /// All flags of the last [`REMEMBER`] or less, and since when: a viewer must not miss an alarm of a moment.
     pub flags: u32,
@@ -56,6 +64,8 @@ impl NodeState {
             samples: 0,
             rate_hz: 0.0,
             rated: (Instant::now(), 0),
+            reached: None,
+            lines: 0,
             gauge: Gauge::default(),
             flags: 0,
             flags_since: Instant::now(),
@@ -143,6 +153,11 @@ impl NodeState {
             self.rated = (Instant::now(), samples);
         }
         self.samples = samples;
+        // The first line of a process covers its start as well: its rate says nothing.
+        self.lines += 1;
+        if self.lines > 1 {
+            self.reached = Some((Instant::now(), samples, self.rate_hz));
+        }
         if self.flags_since.elapsed() > REMEMBER {
             (self.flags, self.flags_since) = (0, Instant::now());
         }
@@ -168,6 +183,7 @@ impl NodeState {
         let doublings = self.quick_deaths.saturating_sub(1).min(MOST_DOUBLINGS);
         let pause = Duration::from_millis(node.backoff_ms.saturating_mul(1 << doublings));
         self.restarts += 1;
+        self.lines = 0;
         self.report = None;
         self.failure = None;
         self.state = State::Starting;
@@ -182,6 +198,17 @@ impl NodeState {
     /// True if the node ended for good: nothing comes from it any more.
     pub fn has_left(&self) -> bool {
         self.child.is_none() && self.restart_at.is_none() && matches!(self.state, State::Done | State::Failed)
+    }
+
+    /// A number that the stream of this source, which began `running_s` ago, has not reached yet: where it would be by
+    /// now had it gone on, and a little more, since numbers that come twice would be taken for old samples. Before
+    /// its rate is known the fastest fieldbus is assumed: rather a hole too long than samples that nobody takes.
+    pub fn beyond(&self, running_s: f64) -> u64 {
+        let (from, rate_hz, since_s) = match self.reached {
+            Some((when, samples, rate_hz)) => (samples, rate_hz, when.elapsed().as_secs_f64()),
+            None => (0, FASTEST_HZ, running_s),
+        };
+        from + (rate_hz * (since_s + MARGIN.as_secs_f64())).ceil() as u64 + 1
     }
 
     /// The process is gone.
@@ -226,6 +253,20 @@ mod tests {
         // While a graph is being stopped its stages still drain it; its sources have nothing more to do.
         assert!(again("on-failure", stage, false, true) && !again("on-failure", source, false, true));
         assert!(!again("always", source, true, false), "a source that reached its end has ended");
+    }
+
+    #[test]
+    fn numbers_of_a_live_source_go_on_beyond_those_it_gave() {
+        let mut state = NodeState::new();
+        assert!(state.beyond(0.3) > 6000, "nothing is known of its rate yet");
+        for samples in [800, 1200] {
+            std::thread::sleep(Duration::from_millis(110));
+            state.progressed(samples, Gauge::default());
+        }
+        let first = state.beyond(99.0);
+        assert!(first > 1200 && first < 4000, "{first}");
+        std::thread::sleep(Duration::from_millis(20));
+        assert!(state.beyond(99.0) > first, "the stream would have gone on");
     }
 
     #[test]

@@ -130,6 +130,38 @@ fn a_stopped_reader_holds_a_replay_back_and_nothing_is_lost() {
     assert_eq!(report(&out)["nodes"]["sink"]["received"]["t3"], 200_000);
 }
 
+#[test]
+fn a_live_source_that_dies_goes_on_with_new_numbers() {
+    let bench = Bench::new();
+    let text = Chain { mode: "live", samples: 1_000_000, relays: 1, ..Chain::default() }.toml(relay);
+    let text = text
+        .replace("paced = false", "live = true")
+        .replace("output = \"t0\"", "output = \"t0\"\nrestart = \"on-failure\"");
+    bench.write("g.toml", &text);
+    let run = bench.up("g.toml", &[]);
+    let name = run.wait_running()["run"].as_str().expect("run").to_owned();
+    // At once, when nothing is known of its rate, and again when something is.
+    for pause_ms in [200, 1800] {
+        std::thread::sleep(Duration::from_millis(pause_ms));
+        let pid = run.pid("source");
+        kill_process(Pid::from_raw(pid).expect("pid"), Signal::KILL).expect("kill");
+        wait_for("a new source", Duration::from_secs(10), || (run.pid("source") != pid).then_some(()));
+    }
+    std::thread::sleep(Duration::from_millis(800));
+    assert_eq!(bench.lacuna(&["down", &name]).status.code(), Some(0));
+    let report = report(&run.output());
+    assert_eq!(report["restarts"], 2);
+    let faults = report["faults"].as_array().expect("faults");
+    assert!(faults.iter().all(|f| f["flowing_ns"].is_u64()), "{faults:?}");
+    // Every number is either there or counted as missing, and most of what came after the restarts is there.
+    let sink = &report["nodes"]["sink"];
+    let seen = &sink["details"]["seen"]["t1"];
+    let (count, last) = (seen[0].as_u64().expect("count"), seen[1].as_u64().expect("last"));
+    assert_eq!(count + sink["missing"].as_u64().expect("missing"), last, "{report}");
+    assert_eq!(last, report["samples"].as_u64().expect("samples"));
+    assert!(count > report["nodes"]["source"]["published"].as_u64().expect("published") + 500, "{report}");
+}
+
 /// Runs a command as the user `nobody`; `None` with a word where that cannot be done.
 fn as_nobody(test: &str) -> Option<Command> {
     let setpriv = Path::new("/usr/bin/setpriv");

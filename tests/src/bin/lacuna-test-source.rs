@@ -4,6 +4,7 @@ use lacuna_interfaces::{BadInput, JointMeasured};
 use lacuna_stage::{Next, Source, SourceContext, run_source};
 use serde::Deserialize;
 use std::process::ExitCode;
+use std::time::Duration;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -15,6 +16,9 @@ struct Config {
     /// Send at that rate instead of as fast as the graph accepts.
     #[serde(default)]
     paced: bool,
+    /// Behave like a tap: samples come by themselves at that rate, numbered from 1 in every process.
+    #[serde(default)]
+    live: bool,
 }
 
 struct Sines {
@@ -38,6 +42,9 @@ impl Source for Sines {
         if self.next > self.config.samples {
             return Ok(Next::End);
         }
+        if self.config.live {
+            std::thread::sleep(Duration::from_secs_f64(1.0 / self.config.rate_hz));
+        }
         let t = (self.next - 1) as f64 / self.config.rate_hz;
         let mut m = JointMeasured::default();
         m.header.seq = self.next;
@@ -55,6 +62,10 @@ impl Source for Sines {
         }
         self.next += 1;
         Ok(Next::Sample(m))
+    }
+
+    fn is_live(&self) -> bool {
+        self.config.live
     }
 
     fn due_ns(&self, sample: &JointMeasured) -> Option<u64> {

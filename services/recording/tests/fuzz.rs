@@ -45,7 +45,7 @@ const WORDS: [&str; 20] = [
 
 /// Memory an input of a few kilobytes may take, whatever it claims: a chunk of a recording at its largest, twice.
 const BUDGET: u64 = 160 << 20;
-const ITERATIONS: usize = 3000;
+const ITERATIONS: usize = 1500;
 
 fn mutate(seeds: &[Vec<u8>], (seed, edits, cut): &Mutation) -> Vec<u8> {
     let mut bytes = seeds[usize::from(*seed) % seeds.len()].clone();

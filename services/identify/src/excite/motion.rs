@@ -1,82 +1,23 @@
-//! Excitation trajectories: motions after which the parameters are known best.
-//!
-//! ```text
-//! q_j(t) = q0_j + Σ_k a_jk sin(k ω t) + b_jk cos(k ω t),   k = 1 … H                 (Swevers et al. 1997)
-//! maximise  log det(D⁻¹ Σ XᵀWX D⁻¹)                                                (D-optimality)
-//! ```
-//!
-//! | symbol | meaning | unit |
-//! |---|---|---|
-//! | ω | base frequency, 2π over the period | rad/s |
-//! | H | harmonics per joint | – |
-//! | X | regressor of the minimal set along the trajectory, friction included | |
-//! | D | size of every column at random motions, so that no unit outweighs another | |
-//!
-//! The motion starts and ends at rest: Σ k a_k = 0 and Σ k² b_k = 0 fix the last harmonic. Every candidate is scaled to
-//! the joint limits, so the search is free of them; poses outside the workspace or out of reach rule a candidate out.
-//! The search is an evolution strategy (one parent, adaptive step), deterministic by seed.
+//! The motions that are searched: a truncated Fourier series per joint, at rest at both ends, within limits.
 
-use crate::base::{Structure, structure};
-use crate::columns::{Evaluator, Sample, Signal, columns};
-use lacuna_estimation::least_squares::{Gram, Statistics};
-use lacuna_interfaces::robot::{Limits, PerJoint};
+use super::ExciteOptions;
+use lacuna_interfaces::robot::PerJoint;
 use lacuna_interfaces::{BadInput, RobotFile};
-use lacuna_physics::{Motion, RigidBody};
+use lacuna_physics::RigidBody;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::io::Write;
 
-/// What a user may choose.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ExciteOptions {
-    /// Limits; what is absent is taken from the robot file.
-    pub limits: Limits,
-    /// Box that the tip must stay in, base frame [m]: lowest and highest corner.
-    pub workspace_m: Option<[[f64; 3]; 2]>,
-    /// Period [s].
-    pub period_s: f64,
-    /// Harmonics per joint.
-    pub harmonics: usize,
-    /// Share of the limits that is used.
-    pub usage: f64,
-    /// Torque noise per joint, for the weights [Nm]; empty: alike.
-    pub sd_tau_nm: Vec<f64>,
-    /// Candidates tried.
-    pub candidates: usize,
-    /// Seed of the search.
-    pub seed: u64,
-}
+/// Instants at which a motion is held against its limits, and excitation is judged.
+pub(super) const INSTANTS: usize = 240;
+/// Candidates per generation.
+const GENERATION: usize = 16;
 
-impl Default for ExciteOptions {
-    fn default() -> Self {
-        Self {
-            limits: Limits::default(),
-            workspace_m: None,
-            period_s: 10.0,
-            harmonics: 5,
-            usage: 0.95,
-            sd_tau_nm: Vec::new(),
-            candidates: 2000,
-            seed: 1,
-        }
-    }
-}
-
-/// How well a trajectory determines the parameters.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Quality {
-    /// log det of the scaled information matrix.
-    pub log_det: f64,
-    /// Condition number of the column-scaled regressor.
-    pub condition: f64,
-}
-
-/// A designed trajectory.
+/// A designed motion.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Excitation {
+pub struct Trajectory {
     /// Joint names.
     pub joints: Vec<String>,
     /// Period [s].
@@ -87,20 +28,7 @@ pub struct Excitation {
     pub sine_rad: Vec<Vec<f64>>,
     /// Cosine coefficients [rad].
     pub cosine_rad: Vec<Vec<f64>>,
-    /// The first candidate, a random motion within the same limits.
-    pub before: Quality,
-    /// The designed one.
-    pub after: Quality,
-    /// Geometric mean over the parameters by which the standard errors shrink from the first to the designed motion.
-    pub error_ratio: f64,
-    /// Candidates that were within reach and workspace.
-    pub feasible: usize,
 }
-
-/// Instants at which a candidate is judged.
-const INSTANTS: usize = 240;
-/// Candidates per generation.
-const GENERATION: usize = 16;
 
 /// Limits of one joint.
 #[derive(Debug, Clone, Copy)]
@@ -112,76 +40,33 @@ struct Bound {
 }
 
 /// Position, velocity and acceleration per joint.
-type State = (Vec<f64>, Vec<f64>, Vec<f64>);
+pub type State = (Vec<f64>, Vec<f64>, Vec<f64>);
 
 /// Coefficients of all joints: centre, then H − 1 sines and H − 1 cosines each; the last harmonic follows.
 #[derive(Debug, Clone)]
-struct Candidate {
-    centre: Vec<f64>,
-    sine: Vec<Vec<f64>>,
-    cosine: Vec<Vec<f64>>,
+pub(super) struct Candidate {
+    pub centre: Vec<f64>,
+    pub sine: Vec<Vec<f64>>,
+    pub cosine: Vec<Vec<f64>>,
 }
 
-/// Designs a trajectory for `robot`. `progress` hears the share done.
-///
-/// # Errors
-/// [`BadInput`] for missing or impossible limits, settings out of range, or if no motion fits reach and workspace.
-pub fn excite(
-    robot: &RobotFile,
-    body: &dyn RigidBody,
-    options: &ExciteOptions,
-    progress: &mut dyn FnMut(f64),
-) -> Result<Excitation, BadInput> {
-    let problem = Problem::new(robot, body, options)?;
-    let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
-    let mut feasible = 0;
-    let mut parent: Option<(Candidate, Quality)> = None;
-    let mut first: Option<Quality> = None;
-    let mut step = 0.4;
-    let generations = options.candidates.div_ceil(GENERATION).max(1);
-    for generation in 0..generations {
-        progress(generation as f64 / generations as f64);
-        let drawn: Vec<Candidate> =
-            (0..GENERATION).map(|_| problem.draw(parent.as_ref().map(|p| &p.0), step, &mut rng)).collect();
-        let judged: Vec<Option<Quality>> = drawn.par_iter().map(|c| problem.judge(c)).collect();
-        feasible += judged.iter().flatten().count();
-        // The first feasible candidate is "a motion within the limits": what the design is measured against.
-        first = first.or_else(|| judged.iter().flatten().next().copied());
-        let best = drawn
-            .into_iter()
-            .zip(judged)
-            .filter_map(|(c, q)| q.map(|q| (c, q)))
-            .max_by(|a, b| a.1.log_det.total_cmp(&b.1.log_det));
-        let Some(best) = best else { continue };
-        let better = parent.as_ref().is_none_or(|p| best.1.log_det > p.1.log_det);
-        // One in five generations should succeed (Rechenberg's rule).
-        step = f64::clamp(if better { step * 1.3 } else { step * 0.92 }, 0.01, 0.8);
-        if better {
-            parent = Some(best);
+impl Candidate {
+    pub fn at(&self, period_s: f64, t_s: f64) -> State {
+        motion(&self.centre, &self.sine, &self.cosine, period_s, t_s)
+    }
+
+    pub fn into_trajectory(self, joints: &[String], period_s: f64) -> Trajectory {
+        Trajectory {
+            joints: joints.to_vec(),
+            period_s,
+            centre_rad: self.centre,
+            sine_rad: self.sine,
+            cosine_rad: self.cosine,
         }
     }
-    progress(1.0);
-    let (Some((candidate, after)), Some(before)) = (parent, first) else {
-        return Err(BadInput::new(format!(
-            "found no motion within reach and workspace in {} candidates; expected wider workspace or narrower joint limits",
-            generations * GENERATION
-        )));
-    };
-    let parameters = problem.structure.base.len() as f64;
-    Ok(Excitation {
-        joints: robot.joints.clone(),
-        period_s: options.period_s,
-        centre_rad: candidate.centre,
-        sine_rad: candidate.sine,
-        cosine_rad: candidate.cosine,
-        before,
-        after,
-        error_ratio: ((after.log_det - before.log_det) / (2.0 * parameters)).exp(),
-        feasible,
-    })
 }
 
-impl Excitation {
+impl Trajectory {
     /// Position, velocity and acceleration of every joint at time `t_s`.
     pub fn at(&self, t_s: f64) -> State {
         motion(&self.centre_rad, &self.sine_rad, &self.cosine_rad, self.period_s, t_s)
@@ -221,16 +106,24 @@ fn motion(centre: &[f64], sine: &[Vec<f64>], cosine: &[Vec<f64>], period_s: f64,
     out
 }
 
-struct Problem<'a> {
-    body: &'a dyn RigidBody,
-    structure: Structure,
+/// What a search found.
+pub(super) struct Found<Q> {
+    pub candidate: Candidate,
+    /// Quality of the start, or of the first feasible candidate.
+    pub before: Q,
+    pub after: Q,
+    pub feasible: usize,
+}
+
+/// The motions of a robot within its limits.
+pub(super) struct Space<'a> {
     bounds: Vec<Bound>,
-    weights: Vec<f64>,
     options: &'a ExciteOptions,
 }
 
-impl<'a> Problem<'a> {
-    fn new(robot: &RobotFile, body: &'a dyn RigidBody, options: &'a ExciteOptions) -> Result<Self, BadInput> {
+impl<'a> Space<'a> {
+    /// Checks the options and the limits.
+    pub fn new(robot: &RobotFile, options: &'a ExciteOptions) -> Result<Self, BadInput> {
         let n = robot.joint_count();
         let positive = |key: &str, v: f64| {
             if v.is_finite() && v > 0.0 {
@@ -254,9 +147,60 @@ impl<'a> Problem<'a> {
         }
         options.sd_tau_nm.iter().try_for_each(|v| positive("sd_tau_nm", *v))?;
         let bounds = (0..n).map(|j| bound(robot, options, j)).collect::<Result<_, _>>()?;
-        let structure = structure(body, robot, columns(body, Signal::Motor, robot.torque_unit.symbol()))?;
-        let weights = (0..n).map(|j| options.sd_tau_nm.get(j).map_or(1.0, |s| 1.0 / (s * s))).collect();
-        Ok(Self { body, structure, bounds, weights, options })
+        Ok(Self { bounds, options })
+    }
+
+    /// True if the tip stays in the workspace box, where there is one; `None` out of reach.
+    pub fn holds(&self, body: &dyn RigidBody, q_rad: &[f64]) -> Option<bool> {
+        let Some([low, high]) = self.options.workspace_m else { return Some(true) };
+        let tip = body.tip(q_rad).ok()?.position_m;
+        Some((0..3).all(|i| tip[i] >= low[i] && tip[i] <= high[i]))
+    }
+
+    /// An evolution strategy with one parent and adaptive step, deterministic by seed. `judge` is `None` for a motion
+    /// out of reach or workspace; the largest value wins.
+    pub fn search<Q: Copy + Send>(
+        &self,
+        start: Option<(Candidate, Q)>,
+        judge: &(dyn Fn(&Candidate) -> Option<Q> + Sync),
+        value: &dyn Fn(&Q) -> f64,
+        progress: &mut dyn FnMut(f64),
+    ) -> Result<Found<Q>, BadInput> {
+        let mut rng = Pcg64Mcg::seed_from_u64(self.options.seed);
+        let mut feasible = 0;
+        let mut first: Option<Q> = start.as_ref().map(|s| s.1);
+        let mut parent = start;
+        let mut step = 0.4;
+        let generations = self.options.candidates.div_ceil(GENERATION).max(1);
+        for generation in 0..generations {
+            progress(generation as f64 / generations as f64);
+            let drawn: Vec<Candidate> =
+                (0..GENERATION).map(|_| self.draw(parent.as_ref().map(|p| &p.0), step, &mut rng)).collect();
+            let judged: Vec<Option<Q>> = drawn.par_iter().map(judge).collect();
+            feasible += judged.iter().flatten().count();
+            // The first feasible candidate is "a motion within the limits": what the design is measured against.
+            first = first.or_else(|| judged.iter().flatten().next().copied());
+            let best = drawn
+                .into_iter()
+                .zip(judged)
+                .filter_map(|(c, q)| q.map(|q| (c, q)))
+                .max_by(|a, b| value(&a.1).total_cmp(&value(&b.1)));
+            let Some(best) = best else { continue };
+            let better = parent.as_ref().is_none_or(|p| value(&best.1) > value(&p.1));
+            // One in five generations should succeed (Rechenberg's rule).
+            step = f64::clamp(if better { step * 1.3 } else { step * 0.92 }, 0.01, 0.8);
+            if better {
+                parent = Some(best);
+            }
+        }
+        progress(1.0);
+        match (parent, first) {
+            (Some((candidate, after)), Some(before)) => Ok(Found { candidate, before, after, feasible }),
+            _ => Err(BadInput::new(format!(
+                "found no motion within reach and workspace in {} candidates; expected wider workspace or narrower joint limits",
+                generations * GENERATION
+            ))),
+        }
     }
 
     /// A random candidate, or a mutation of `parent`, scaled to the joint limits.
@@ -312,41 +256,6 @@ impl<'a> Problem<'a> {
         let (low, high) = (low * factor, high * factor);
         let (first, last) = (middle - half - low, middle + half - high);
         if first > last { middle - 0.5 * (low + high) } else { centre.clamp(first, last) }
-    }
-
-    /// How well a candidate determines the parameters; `None` out of reach or workspace.
-    fn judge(&self, candidate: &Candidate) -> Option<Quality> {
-        let p = self.structure.base.len();
-        let n = self.bounds.len();
-        let mut evaluator = Evaluator::new(self.body, &self.structure.columns);
-        let (mut x, mut y, mut w) = (Vec::with_capacity(INSTANTS * n * p), Vec::new(), Vec::new());
-        for k in 0..INSTANTS {
-            // Half a step in, so that no instant is one of rest.
-            let t = (k as f64 + 0.5) / INSTANTS as f64 * self.options.period_s;
-            let (q, qd, qdd) = motion(&candidate.centre, &candidate.sine, &candidate.cosine, self.options.period_s, t);
-            if let Some([low, high]) = self.options.workspace_m {
-                let tip = self.body.tip(&q).ok()?.position_m;
-                if (0..3).any(|i| tip[i] < low[i] || tip[i] > high[i]) {
-                    return None;
-                }
-            }
-            let sign: Vec<f64> = qd.iter().map(|v| v.signum()).collect();
-            let sample = Sample { motion: Motion { q_rad: &q, qd_rad_s: &qd, qdd_rad_s2: &qdd }, sign: &sign };
-            evaluator.at(&sample).ok()?;
-            for j in 0..n {
-                x.extend(self.structure.base.iter().map(|b| evaluator.entry(&sample, j, b.column) / b.typical));
-                y.push(0.0);
-                w.push(self.weights[j] / INSTANTS as f64);
-            }
-        }
-        let mut gram = Gram::new(p);
-        gram.add_rows(&x, &y, Some(&w)).ok()?;
-        let condition = gram.condition();
-        let eigen = gram.xtx().symmetric_eigenvalues();
-        // A singular motion is not ruled out, only very bad: the search must find its way from it.
-        let floor = 1e-14 * eigen.max();
-        let log_det: f64 = eigen.iter().map(|v| v.max(floor).ln()).sum();
-        log_det.is_finite().then_some(Quality { log_det, condition })
     }
 }
 

@@ -430,7 +430,8 @@ mod tests {
         let node = |name: &str, input: &str, output: &str, model: &str| {
             format!("[[node]]\nname = \"{name}\"\nexec = \"x\"\ninputs = [\"{input}\"]\noutput = \"{output}\"\n{model}")
         };
-        let graph = |nodes: &[String]| GraphFile::parse(&(GRAPH.to_owned() + &nodes.concat())).and_then(|g| g.resolve(&[]));
+        let graph =
+            |nodes: &[String]| GraphFile::parse(&(GRAPH.to_owned() + &nodes.concat())).and_then(|g| g.resolve(&[]));
         let old = node("a", "smoothed", "old/torque", "");
         let new = node("b", "smoothed", "new/torque", "model = \"m-${rate}.toml\"\n");
         let g = graph(&[old.clone(), new.clone()]).unwrap();

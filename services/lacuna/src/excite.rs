@@ -233,10 +233,9 @@ fn show(args: &ExciteArgs, found: &Separation) -> CommandResult {
     }
     let [a, b] = &found.explanations;
     println!("Expected evidence for the truth, per period [nats]   usual excitation   designed motion");
-    for (true_one, other, before, after) in [
-        (a, b, found.before.first, found.after.first),
-        (b, a, found.before.second, found.after.second),
-    ] {
+    for (true_one, other, before, after) in
+        [(a, b, found.before.first, found.after.first), (b, a, found.before.second, found.after.second)]
+    {
         let what = format!("{} true, against {}", true_one.effect, other.effect);
         println!("  {what:<48} {before:>18.1}   {after:>15.1}");
     }

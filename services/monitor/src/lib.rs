@@ -62,7 +62,7 @@ pub struct Config {
     pub growth: f64,
     /// Time of sliding over which the noise is learnt [s].
     pub learn_s: f64,
-    /// Share of the model torque that the model may be wrong by: no model is exact.
+    /// Share of the model torque that the model may be wrong by, beyond what its noise tells.
     pub model_error: f64,
     /// Samples of a joint within this time of its reversal are left out [s].
     pub reversal_s: f64,
@@ -79,7 +79,7 @@ impl Default for Config {
             block_s: 0.1,
             growth: 2.0,
             learn_s: 60.0,
-            model_error: 0.005,
+            model_error: 0.0,
             reversal_s: 0.03,
             standstill_rad_s: 0.02,
             residual: Residual::Model,

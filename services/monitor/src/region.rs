@@ -6,6 +6,8 @@ use lacuna_interfaces::region;
 const BINS: usize = 16;
 /// Share of the mismatch that the region must hold.
 const SHARE: f64 = 0.85;
+/// Values beyond this have no place [any unit].
+const LARGEST: f64 = 1e15;
 /// A variable tells the place only if it explains so many times what a constant explains.
 const BETTER_THAN_CONSTANT: f64 = 1.3;
 
@@ -29,7 +31,7 @@ impl Bins {
 
     #[inline]
     fn add(&mut self, x: f64, residual_nm: f64) {
-        if !x.is_finite() {
+        if x.is_nan() || x.abs() > LARGEST {
             return;
         }
         while x.abs() >= self.half {
@@ -95,13 +97,7 @@ pub(crate) struct Map {
 
 impl Map {
     pub fn new() -> Self {
-        Self {
-            velocity: Bins::new(0.1),
-            position: Bins::new(0.1),
-            load: Bins::new(0.1),
-            count: 0.0,
-            sum_nm: 0.0,
-        }
+        Self { velocity: Bins::new(0.1), position: Bins::new(0.1), load: Bins::new(0.1), count: 0.0, sum_nm: 0.0 }
     }
 
     pub fn clear(&mut self) {

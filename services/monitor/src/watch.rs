@@ -4,6 +4,8 @@ use crate::region::{Map, Place};
 
 /// Blocks whose size is beyond this many standard deviations do not make the noise estimate grow further.
 const CLIP: f64 = 3.0;
+/// A block beyond this many standard deviations is as bad as one there.
+const BEYOND: f64 = 1e6;
 /// Weight of the model file's noise against measured blocks, in blocks.
 const PRIOR_BLOCKS: f64 = 20.0;
 /// Classes of acceleration, each twice the one before; the first ends at `FIRST_CLASS`.
@@ -165,7 +167,12 @@ impl Watch {
         let sd = allowed.max(f64::MIN_POSITIVE).sqrt();
         (self.last_nm, self.last_sd_nm) = (mean, sd);
 
-        let raw = mean / sd;
+        let raw = (mean / sd).clamp(-BEYOND, BEYOND);
+        if raw.is_nan() {
+            // Sums beyond all numbers: nothing can be said of such a block.
+            (self.last_nm, self.last_sd_nm, self.previous) = (0.0, self.sd_nm, None);
+            return;
+        }
         let previous = self.previous.replace(raw);
         let z = match previous {
             Some(before) => {

@@ -182,7 +182,14 @@ fn encoding(samples: &[All]) {
 
 fn record(robot: &RobotFile, samples: &mut [All], path: &Path, name: &str, more: &str) -> u64 {
     let config: Config = toml::from_str(&format!("path = '{}'\n{more}", path.display())).expect("a valid config");
-    let run = Run { robot, streams: &Stream::ALL, branches: &[], live: false, attachments: Vec::new(), facts: BTreeMap::new() };
+    let run = Run {
+        robot,
+        streams: &Stream::ALL,
+        branches: &[],
+        live: false,
+        attachments: Vec::new(),
+        facts: BTreeMap::new(),
+    };
     let (start, cpu) = (Instant::now(), cpu_s());
     let mut recorder = Recorder::new(&config, &run).expect("a new file");
     for (k, i) in (0..SAMPLES).zip((0..samples.len()).cycle()) {

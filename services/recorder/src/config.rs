@@ -174,7 +174,8 @@ impl Run<'_> {
     pub(crate) fn facts_with(&self, path: &Path) -> Facts {
         let mut facts = self.facts.clone();
         let root = self.streams.iter().map(|s| s.name().to_owned());
-        let branches = self.branches.iter().flat_map(|b| b.streams.iter().map(|s| in_namespace(&b.namespace, s.name())));
+        let branches =
+            self.branches.iter().flat_map(|b| b.streams.iter().map(|s| in_namespace(&b.namespace, s.name())));
         let streams: Vec<String> = root.chain(branches).collect();
         for (key, value) in [
             ("version", env!("CARGO_PKG_VERSION").to_owned()),

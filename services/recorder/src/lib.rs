@@ -30,8 +30,8 @@ use lacuna_interfaces::{
     TorqueModel, flag,
 };
 use lacuna_recording::container::{Finished, MessageBatch, Writer};
-use std::collections::BTreeMap;
 use lacuna_recording::ros::bag;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use streams::{Sequences, Topics};
 

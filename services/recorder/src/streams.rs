@@ -1,7 +1,9 @@
 //! Streams, their topics and their counts.
 
 use crate::{Facts, WriteError};
-use lacuna_interfaces::{FrictionTorque, Header, JointMeasured, JointSmoothed, PayloadEstimate, ResidualWatch, TorqueModel, Wire};
+use lacuna_interfaces::{
+    FrictionTorque, Header, JointMeasured, JointSmoothed, PayloadEstimate, ResidualWatch, TorqueModel, Wire,
+};
 use lacuna_recording::container::{ChannelId, Finished, MessageBatch, Writer};
 use lacuna_recording::ros::bag;
 use lacuna_recording::ros::cdr::Filler;

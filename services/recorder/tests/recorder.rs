@@ -227,10 +227,8 @@ fn branches_stand_below_their_namespace_and_are_counted_apart() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("a.mcap");
     let robot = robot();
-    let branches = ["before", "after"].map(|space| Branch {
-        namespace: space.to_owned(),
-        streams: vec![Stream::Friction, Stream::Payload],
-    });
+    let branches = ["before", "after"]
+        .map(|space| Branch { namespace: space.to_owned(), streams: vec![Stream::Friction, Stream::Payload] });
     let streams = [Stream::Measured];
     let run = Run { branches: &branches, ..run(&robot, &streams) };
     let mut recorder = Recorder::new(&config(&path, ""), &run).unwrap();

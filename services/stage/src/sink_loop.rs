@@ -8,8 +8,8 @@ use crate::latency::{EdgeMeter, LatencyMeter};
 use crate::process::{Failure, Process, Pulse, main_with};
 use lacuna_interfaces::graph::{GraphFile, Mode};
 use lacuna_interfaces::{
-    BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, ModelFile, PayloadEstimate, ResidualWatch, RobotFile,
-    TorqueModel, Wire,
+    BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, ModelFile, PayloadEstimate, ResidualWatch,
+    RobotFile, TorqueModel, Wire,
 };
 use serde::de::DeserializeOwned;
 use std::process::ExitCode;

@@ -100,12 +100,9 @@ pub fn separate(
     let before = judge.judge(&space, &start).ok_or_else(|| {
         BadInput::new("found a motion on which the effects have no torque; expected effects of this robot")
     })?;
-    let found = space.search(
-        Some((start, before)),
-        &|c| judge.judge(&space, c),
-        &Evidence::least,
-        &mut |share| progress(0.2 + 0.8 * share),
-    )?;
+    let found = space.search(Some((start, before)), &|c| judge.judge(&space, c), &Evidence::least, &mut |share| {
+        progress(0.2 + 0.8 * share)
+    })?;
     Ok(Separation {
         motion: found.candidate.into_trajectory(&robot.joints, options.period_s),
         explanations: judge.rivals.map(|r| r.explanation),
@@ -150,8 +147,7 @@ impl Rival {
             none if none.is_empty() => vec![1.0],
             some => some,
         };
-        let own: BTreeMap<String, f64> =
-            effect.shapes(robot.kind).map(|p| (p.symbol.to_owned(), value(p))).collect();
+        let own: BTreeMap<String, f64> = effect.shapes(robot.kind).map(|p| (p.symbol.to_owned(), value(p))).collect();
         let mut shapes = vec![own.clone()];
         for p in effect.shapes(robot.kind) {
             let more: Vec<BTreeMap<String, f64>> = shapes
@@ -284,9 +280,13 @@ impl<'a> Judge<'a> {
     fn rows(&self, track: &Signals, value: impl Fn(usize, usize) -> f64) -> Vec<f64> {
         let mut out = Vec::with_capacity(self.sd_nm.len() * track.t_s.len());
         for (j, sd) in self.sd_nm.iter().enumerate() {
-            out.extend((0..track.t_s.len()).map(|k| {
-                if track.qd_rad_s[j][k].abs() < STANDING { 0.0 } else { value(j, k) / sd }
-            }));
+            out.extend(
+                (0..track.t_s.len()).map(
+                    |k| {
+                        if track.qd_rad_s[j][k].abs() < STANDING { 0.0 } else { value(j, k) / sd }
+                    },
+                ),
+            );
         }
         out
     }

@@ -9,7 +9,7 @@ use lacuna_interfaces::{
 };
 use lacuna_monitor::Monitor;
 use lacuna_payload::Payload;
-use lacuna_simulate::case::{CaseOptions, draw_case};
+use lacuna_simulate::case::{Case, CaseOptions, draw_case};
 use lacuna_simulate::{SimulationConfig, TrueEffect, simulate};
 use lacuna_smoother::Smoother;
 use lacuna_torque::Torque;
@@ -20,14 +20,27 @@ pub struct Identified {
     pub model: ModelFile,
     config: SimulationConfig,
     training: usize,
+    seed: u64,
+}
+
+/// The case that robot number `seed` is drawn from.
+fn case(seed: u64, ids: &[&str]) -> Case {
+    let options = CaseOptions {
+        effects: ids.len(),
+        ids: ids.iter().map(|s| (*s).to_owned()).collect(),
+        severity: [1.0, 1.0],
+        mass_error: 0.02,
+        trajectories: 12,
+        duration_s: 6.0,
+        ..CaseOptions::default()
+    };
+    draw_case(seed, &options).unwrap()
 }
 
 impl Identified {
     /// Robot and model number `seed`: masses 2 % off, twelve motions of 6 s to identify from.
     pub fn new(seed: u64) -> Self {
-        let options =
-            CaseOptions { effects: 0, mass_error: 0.02, trajectories: 12, duration_s: 6.0, ..CaseOptions::default() };
-        let case = draw_case(seed, &options).unwrap();
+        let case = case(seed, &[]);
         let training = simulate(&case.robot, None, &case.config).unwrap().recordings;
         let body = lacuna_physics::build(&case.robot, None).unwrap();
         let count = training.len();
@@ -40,20 +53,34 @@ impl Identified {
             &mut |_, _| (),
         )
         .unwrap();
-        Self { robot: case.robot, model: outcome.model, config: case.config, training: count }
+        Self { robot: case.robot, model: outcome.model, config: case.config, training: count, seed }
+    }
+
+    /// An effect of usual strength for this robot.
+    pub fn effect(&self, id: &str) -> TrueEffect {
+        let case = case(self.seed, &[id]);
+        assert_eq!(case.robot, self.robot, "the robot is drawn before its effects");
+        case.config.effects[0].clone()
     }
 
     /// `seconds` of motions like those of the training, none of which the model has seen; clean, or with effects.
     pub fn recordings(&self, seconds: f64, effects: &[TrueEffect]) -> Vec<Recording> {
+        self.simulation(seconds, effects).0
+    }
+
+    /// The same, with begin and end of what happened in each recording [s].
+    pub fn simulation(&self, seconds: f64, effects: &[TrueEffect]) -> (Vec<Recording>, Vec<Option<(f64, f64)>>) {
         let mut config = self.config.clone();
         let duration: f64 = config.trajectories.iter().map(|g| g.duration_s * f64::from(g.count)).sum();
         // The same robot; motions after those of the training come from streams of their own.
         let rounds = (seconds / duration).ceil() as usize + 1;
-        config.trajectories = config.trajectories.iter().cycle().take(rounds * config.trajectories.len()).cloned().collect();
+        config.trajectories =
+            config.trajectories.iter().cycle().take(rounds * config.trajectories.len()).cloned().collect();
         config.effects = effects.to_vec();
-        let mut all = simulate(&self.robot, None, &config).unwrap().recordings;
-        all.drain(..self.training);
-        all
+        let simulation = simulate(&self.robot, None, &config).unwrap();
+        let event = |r: &Recording| simulation.truth.events.get(&r.name)?.first().map(|e| (e.t_on, e.t_off));
+        let events = simulation.recordings.iter().skip(self.training).map(event).collect();
+        (simulation.recordings.into_iter().skip(self.training).collect(), events)
     }
 
     fn context(&self) -> StageContext<'_> {

@@ -101,7 +101,11 @@ pub fn record(recorder: &mut Recorder, k: u64) -> Result<(), WriteError> {
         tau_rigid_nm: list(10, k),
         ..TorqueModel::default()
     })?;
-    recorder.lane(0)?.friction(&FrictionTorque { header, tau_friction_nm: list(11, k), ..FrictionTorque::default() })?;
+    recorder.lane(0)?.friction(&FrictionTorque {
+        header,
+        tau_friction_nm: list(11, k),
+        ..FrictionTorque::default()
+    })?;
     recorder.lane(0)?.payload(&PayloadEstimate {
         header,
         residual_nm: list(12, k),

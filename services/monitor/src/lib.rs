@@ -23,7 +23,7 @@
 //! starts at the model file's `noise.sd_tau_nm` (all noise in one: nothing is larger) and is learnt downwards from
 //! quiet blocks over `learn_s`, by octaves of acceleration, since smoothing and model err more where the motion is
 //! sharp. It never exceeds the model file's, never falls below what independent samples would give, and is not learnt
-//! from blocks under suspicion. The other part is the share `model_error` of the block's model torque. A joint without
+//! under an alarm. The other part is the share `model_error` of the block's model torque. A joint without
 //! noise in the model file is not watched.
 //!
 //! **What is left out**: standing joints and the moments about a reversal (friction holds any torque there), the start

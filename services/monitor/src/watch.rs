@@ -14,8 +14,6 @@ const CLASSES: usize = 8;
 const FIRST_CLASS: f64 = 1.0;
 /// Largest correlation of successive blocks that is believed.
 const MAX_CORRELATION: f64 = 0.95;
-/// Share of the threshold above which a block may be part of a mismatch, and nothing is learnt from it.
-const SUSPECT: f64 = 0.3;
 /// Evidence is held at this many thresholds, so that an alarm can end.
 const CEILING: f64 = 1.25;
 /// Share of the threshold at which an alarm ends.
@@ -190,7 +188,9 @@ impl Watch {
         if self.alarm {
             self.place = self.map.place(self.samples * allowed);
         }
-        if self.evidence < SUSPECT * test.threshold {
+        // Learning only from blocks that look quiet would take the noise for smaller and less correlated than it is;
+        // what a mismatch adds before its alarm is clipped.
+        if !self.alarm {
             self.learn(class, mean, raw, previous, test.memory);
         }
     }

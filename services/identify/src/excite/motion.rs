@@ -48,6 +48,8 @@ pub(super) struct Candidate {
     pub centre: Vec<f64>,
     pub sine: Vec<Vec<f64>>,
     pub cosine: Vec<Vec<f64>>,
+    /// Share of what the limits allow that each joint moves by, at most 1.
+    pub share: Vec<f64>,
 }
 
 impl Candidate {
@@ -119,7 +121,12 @@ pub(super) struct Found<Q> {
 pub(super) struct Space<'a> {
     bounds: Vec<Bound>,
     options: &'a ExciteOptions,
+    /// Motions need not go to the limits: slow and small ones are searched too.
+    slower: bool,
 }
+
+/// Smallest share of the limits that is searched.
+const LEAST_SHARE: f64 = 0.02;
 
 impl<'a> Space<'a> {
     /// Checks the options and the limits.
@@ -147,7 +154,12 @@ impl<'a> Space<'a> {
         }
         options.sd_tau_nm.iter().try_for_each(|v| positive("sd_tau_nm", *v))?;
         let bounds = (0..n).map(|j| bound(robot, options, j)).collect::<Result<_, _>>()?;
-        Ok(Self { bounds, options })
+        Ok(Self { bounds, options, slower: false })
+    }
+
+    /// The same space with slower and smaller motions in it.
+    pub fn with_slower(self) -> Self {
+        Self { slower: true, ..self }
     }
 
     /// True if the tip stays in the workspace box, where there is one; `None` out of reach.
@@ -206,7 +218,7 @@ impl<'a> Space<'a> {
     /// A random candidate, or a mutation of `parent`, scaled to the joint limits.
     fn draw(&self, parent: Option<&Candidate>, step: f64, rng: &mut Pcg64Mcg) -> Candidate {
         let h = self.options.harmonics;
-        let mut out = Candidate { centre: Vec::new(), sine: Vec::new(), cosine: Vec::new() };
+        let mut out = Candidate { centre: Vec::new(), sine: Vec::new(), cosine: Vec::new(), share: Vec::new() };
         for (j, bound) in self.bounds.iter().enumerate() {
             let half = 0.5 * (bound.high - bound.low);
             let mut normal = || (0..6).map(|_| rng.random_range(-1.0..1.0)).sum::<f64>() / std::f64::consts::SQRT_2;
@@ -219,7 +231,12 @@ impl<'a> Space<'a> {
             let mut cosine: Vec<f64> =
                 (0..h).map(|k| old.map_or(0.0, |o| o.2[k]) + scale * 0.3 * half * normal() / (k + 1) as f64).collect();
             rest_at_start(&mut sine, &mut cosine);
-            let centre = self.fit_in(j, centre, &mut sine, &mut cosine);
+            let mut share = parent.map_or(1.0, |p| p.share[j]);
+            if self.slower {
+                share = (share * (2.0 * scale * normal()).exp()).clamp(LEAST_SHARE, 1.0);
+            }
+            let centre = self.fit_in(j, centre, share, &mut sine, &mut cosine);
+            out.share.push(share);
             out.centre.push(centre);
             out.sine.push(sine);
             out.cosine.push(cosine);
@@ -227,8 +244,8 @@ impl<'a> Space<'a> {
         out
     }
 
-    /// Scales one joint's coefficients to its limits and returns the centre moved to where they fit.
-    fn fit_in(&self, j: usize, centre: f64, sine: &mut [f64], cosine: &mut [f64]) -> f64 {
+    /// Scales one joint's coefficients to `share` of its limits and returns the centre moved to where they fit.
+    fn fit_in(&self, j: usize, centre: f64, share: f64, sine: &mut [f64], cosine: &mut [f64]) -> f64 {
         let bound = self.bounds[j];
         let usage = self.options.usage;
         let (mut low, mut high, mut speed, mut acceleration) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
@@ -250,7 +267,8 @@ impl<'a> Space<'a> {
         let factor = room(high - low, 2.0 * half)
             .min(room(speed, usage * bound.speed))
             .min(room(acceleration, usage * bound.acceleration))
-            / 1.02;
+            / 1.02
+            * share;
         let factor = if factor.is_finite() { factor } else { 0.0 };
         sine.iter_mut().chain(cosine.iter_mut()).for_each(|v| *v *= factor);
         let (low, high) = (low * factor, high * factor);

@@ -94,9 +94,10 @@ pub fn separate(
 ) -> Result<Separation, BadInput> {
     let options = ExciteOptions { sd_tau_nm: model.noise.sd_tau_nm.clone(), ..options.clone() };
     let judge = Judge::new(robot, urdf, body, model, pair, options.period_s)?;
-    let space = Space::new(robot, &options)?;
+    let space = Space::new(robot, &options)?.with_slower();
     let usual = excite(robot, body, &options, &mut |share| progress(0.2 * share))?.motion;
-    let start = Candidate { centre: usual.centre_rad, sine: usual.sine_rad, cosine: usual.cosine_rad };
+    let share = vec![1.0; usual.joints.len()];
+    let start = Candidate { centre: usual.centre_rad, sine: usual.sine_rad, cosine: usual.cosine_rad, share };
     let before = judge.judge(&space, &start).ok_or_else(|| {
         BadInput::new("found a motion on which the effects have no torque; expected effects of this robot")
     })?;

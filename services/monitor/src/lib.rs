@@ -1,30 +1,30 @@
 //! The monitor stage: an alarm per joint when the torque residual leaves what the model and its noise allow.
 //!
 //! ```text
-//! m_b = mean of the residual over a block of sliding          z_b = (m_b − r m_{b−1}) / (s √(1 − r²))
+//! m_b = mean of the residual over a block of sliding          z_b = (m_b/s_b − r m_{b−1}/s_{b−1}) / u
 //! S ← max(0, S + ½ (1 − 1/ρ²) z_b² − ln ρ)                     alarm: S ≥ h = ln(blocks between false alarms)
 //! ```
 //!
 //! | symbol | meaning | unit |
 //! |---|---|---|
-//! | m_b, s | block mean and the standard deviation it may have | Nm |
-//! | r | correlation of successive blocks | – |
+//! | m_b, s_b | block mean and the standard deviation it may have | Nm |
+//! | r, u | correlation of successive blocks, standard deviation of what is new in one | – |
 //! | ρ | growth of the residual that is found quickest, `growth` | – |
 //! | S, h | evidence and its threshold | nats |
 //!
 //! **The test** is Page's CUSUM of the log-likelihood ratio "ρ times the noise" against "the noise": it answers to a
 //! mismatch of either sign, brief and large as well as small and lasting, and to one that changes sign with the motion,
-//! as friction does. For any CUSUM of a likelihood ratio the mean time between false alarms is at least e^h blocks
+//! as friction does. For independent blocks the mean time between false alarms of such a CUSUM is at least e^h blocks
 //! (Lorden 1971, theorem 2), so h follows from `false_alarms_per_hour`, shared out over the joints; the real rate lies
 //! somewhat below it.
 //!
 //! **The noise.** Residuals are correlated: filtered, and the model's own small errors repeat with the motion. Blocks
-//! take in the correlation that is shorter than they are, r what reaches into the next. Of s² one part is the noise: it
-//! starts at the model file's `noise.sd_tau_nm` (all noise in one: nothing is larger) and is learnt downwards from
-//! quiet blocks over `learn_s`, by octaves of acceleration, since smoothing and model err more where the motion is
-//! sharp. It never exceeds the model file's, never falls below what independent samples would give, and is not learnt
-//! under an alarm. The other part is the share `model_error` of the block's model torque. A joint without
-//! noise in the model file is not watched.
+//! take in the correlation that is shorter than they are, r and u what reaches into the next. One part of s² is the
+//! noise: it starts at the model file's `noise.sd_tau_nm` (all noise in one: nothing is larger) and is learnt downwards
+//! over `learn_s`, by octaves of acceleration, since smoothing and model err more where the motion is sharp. It never
+//! exceeds the model file's, never falls below what independent samples would give, and is not learnt under an alarm.
+//! The other part is the share `model_error` of the block's model torque. A joint without noise in the model file is
+//! not watched.
 //!
 //! **What is left out**: standing joints and the moments about a reversal (friction holds any torque there), the start
 //! of a stretch, samples without a model torque or with the drive off.

@@ -82,9 +82,11 @@ pub(crate) struct Watch {
     pub last_nm: f64,
     pub last_sd_nm: f64,
     noise: [Noise; CLASSES],
-    /// Correlation of successive blocks, its weight, and samples that a block usually has.
+    /// Correlation of successive blocks, variance of what a block brings anew, and the weight of both.
     correlation: f64,
-    correlation_weight: f64,
+    new_variance: f64,
+    succession_weight: f64,
+    /// Samples that a block usually has.
     samples: f64,
     evidence: f64,
     /// Onset of the present evidence [ns].
@@ -106,7 +108,8 @@ impl Watch {
             last_sd_nm: sd_nm,
             noise: [Noise { variance: sd_nm * sd_nm, weight: PRIOR_BLOCKS }; CLASSES],
             correlation: 0.0,
-            correlation_weight: PRIOR_BLOCKS,
+            new_variance: 1.0,
+            succession_weight: PRIOR_BLOCKS,
             samples: 0.0,
             evidence: 0.0,
             since_ns: 0,
@@ -172,13 +175,8 @@ impl Watch {
             return;
         }
         let previous = self.previous.replace(raw);
-        let z = match previous {
-            Some(before) => {
-                let r = self.correlation.clamp(0.0, MAX_CORRELATION);
-                (raw - r * before) / (1.0 - r * r).sqrt()
-            }
-            None => raw,
-        };
+        let new = previous.map(|before| raw - self.correlation.clamp(0.0, MAX_CORRELATION) * before);
+        let z = new.map_or(raw, |new| new / self.new_variance.sqrt());
         self.evidence = (self.evidence + test.evidence(z)).clamp(0.0, CEILING * test.threshold);
         if self.evidence >= test.threshold {
             self.alarm = true;
@@ -191,12 +189,15 @@ impl Watch {
         // Learning only from blocks that look quiet would take the noise for smaller and less correlated than it is;
         // what a mismatch adds before its alarm is clipped.
         if !self.alarm {
-            self.learn(class, mean, raw, previous, test.memory);
+            self.learn(class, mean, test.memory);
+            if let (Some(before), Some(new)) = (previous, new) {
+                self.learn_succession(raw, before, new, test.memory);
+            }
         }
     }
 
     /// Takes a quiet block into the noise estimate: within what the model file's noise allows.
-    fn learn(&mut self, class: usize, mean: f64, raw: f64, previous: Option<f64>, memory: f64) {
+    fn learn(&mut self, class: usize, mean: f64, memory: f64) {
         let noise = &mut self.noise[class];
         let limit = CLIP * noise.variance.sqrt();
         let clipped = mean.clamp(-limit, limit);
@@ -205,11 +206,17 @@ impl Watch {
         // Independent samples of the model file's noise give no less than this, the noise all in one no more.
         let least = self.sd_nm * self.sd_nm / self.samples.max(1.0);
         noise.variance = noise.variance.clamp(least, self.sd_nm * self.sd_nm);
-        if let Some(before) = previous {
-            self.correlation_weight = (self.correlation_weight + 1.0).min(memory);
-            let product = raw.clamp(-CLIP, CLIP) * before.clamp(-CLIP, CLIP);
-            self.correlation += (product - self.correlation) / self.correlation_weight;
-        }
+    }
+
+    /// Correlation of a block with the one before, and the variance of what is new in it. The latter is measured, not
+    /// taken as 1 − r²: an r that is off then costs a little power, not false alarms.
+    fn learn_succession(&mut self, raw: f64, before: f64, new: f64, memory: f64) {
+        self.succession_weight = (self.succession_weight + 1.0).min(memory);
+        let product = raw.clamp(-CLIP, CLIP) * before.clamp(-CLIP, CLIP);
+        self.correlation += (product - self.correlation) / self.succession_weight;
+        let square = (new * new).min(CLIP * CLIP * self.new_variance);
+        self.new_variance += (square - self.new_variance) / self.succession_weight;
+        self.new_variance = self.new_variance.clamp(1.0 - MAX_CORRELATION * MAX_CORRELATION, 1.0);
     }
 }
 

@@ -21,7 +21,7 @@ use super::{ExciteOptions, excite};
 use crate::base::{Structure, structure};
 use crate::columns::{Evaluator, Sample, Signal, Term, columns};
 use lacuna_interfaces::{BadInput, ModelFile, RobotFile};
-use lacuna_physics::effects::{Effect, EffectContext, Scope, Track, find, registry};
+use lacuna_physics::effects::{Effect, EffectContext, ParameterSpec, Scope, Track, find, registry};
 use lacuna_physics::{Motion, RigidBody, parameters_of};
 use nalgebra::{Cholesky, DMatrix, DVector};
 use serde::Serialize;
@@ -141,10 +141,12 @@ impl Rival {
                 })
             })
             .collect::<Result<Vec<_>, _>>()?;
-        let value = |p: &lacuna_physics::effects::ParameterSpec| {
-            given.parameters.get(p.symbol).copied().or(p.default).unwrap_or(p.typical)
-        };
-        let amplitudes = match effect.amplitudes(robot.kind).map(value).collect::<Vec<_>>() {
+        let known = |p: &ParameterSpec| given.parameters.get(p.symbol).copied();
+        let value = |p: &ParameterSpec| known(p).or(p.default).unwrap_or(p.typical);
+        // Of several amplitudes those that are not given are 0, but not all of them.
+        let some = effect.amplitudes(robot.kind).any(|p| known(p).is_some());
+        let amplitude = |p: &ParameterSpec| if some { value(p) } else { p.typical };
+        let amplitudes = match effect.amplitudes(robot.kind).map(amplitude).collect::<Vec<_>>() {
             none if none.is_empty() => vec![1.0],
             some => some,
         };

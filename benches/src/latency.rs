@@ -99,7 +99,7 @@ pub fn run(
     // The bare chain polls: beside busy processors it would only measure the scheduler.
     if variant == Variant::PLAIN {
         progress(&format!("bare chain at {rate_hz} Hz"));
-        let BareResult { p50_us, p99_us, p999_us, max_us, .. } = bare(6, samples, 512, (1e9 / rate_hz) as u64)?;
+        let BareResult { p50_us, p99_us, p999_us, max_us, .. } = bare(7, samples, 512, (1e9 / rate_hz) as u64)?;
         let (hop, us) = ("bare chain, end to end".to_owned(), [p50_us, p99_us, p999_us, max_us]);
         rows.push(Row { rate_hz, load: load.clone(), hop, us, lost: 0, dropped: 0, gaps: 0 });
     }

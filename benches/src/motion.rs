@@ -11,7 +11,8 @@ encoder_bits = 20\nsample_rate_hz = 1000\n";
 
 /// Model file of the synthetic recordings: grey box and friction, so that every stage has work to do.
 pub const MODEL: &str = "schema = \"lacuna.model/1\"\nrobot = \"bench-delta\"\n[rigid_body]\nrho1 = 1.1\nrho2 = 1.05\n\
-[friction]\nf_v = [0.5, 0.5, 0.5]\nf_c = [1.5, 1.5, 1.5]\n";
+[friction]\nf_v = [0.5, 0.5, 0.5]\nf_c = [1.5, 1.5, 1.5]\n\
+[noise]\nsd_tau_nm = [0.1, 0.1, 0.1]\n";
 
 /// Joint position and torque of sample `k` at `rate_hz`.
 pub fn sample(k: u64, rate_hz: f64) -> ([f64; 3], [f64; 3]) {

@@ -6,6 +6,7 @@ use lacuna_interfaces::{
     BadInput, FrictionTorque, JointMeasured, JointSmoothed, ModelFile, Recording, RobotFile, Stage, StageContext,
     TorqueModel,
 };
+use lacuna_monitor::Monitor;
 use lacuna_payload::Payload;
 use lacuna_smoother::{Smoother, smooth_recording};
 use lacuna_torque::Torque;
@@ -147,6 +148,10 @@ pub fn run(progress: &mut dyn FnMut(&str)) -> Result<Vec<Row>, BenchError> {
     progress("payload");
     let (ns, payload) = time::<Payload>("", &context, &friction)?;
     row("payload, 3 joints", ns, copied(copy(&payload)));
+
+    progress("monitor");
+    let (ns, watched) = time::<Monitor>("", &context, &payload)?;
+    row("monitor, 3 joints", ns, copied(copy(&watched)));
     Ok(rows)
 }
 

@@ -5,7 +5,7 @@ use crate::{BenchError, median, motion};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-const NODES: [&str; 5] = ["source", "smoother", "torque", "friction", "payload"];
+const NODES: [&str; 6] = ["source", "smoother", "torque", "friction", "payload", "monitor"];
 
 /// One way to run the graph.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -66,7 +66,7 @@ pub fn run(launch: &Path, samples: u64, turns: usize, progress: &mut dyn FnMut(&
         }
     }
     let mut rows = vec![Row {
-        what: "bare iceoryx2 chain, 5 processes".to_owned(),
+        what: format!("bare iceoryx2 chain, {} processes", NODES.len()),
         rate_per_s: median(&mut bare_rates.clone()),
         ratio_to_bare: 1.0,
         ratio_range: [1.0, 1.0],

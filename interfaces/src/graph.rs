@@ -2,6 +2,11 @@
 //! configured and what happens when it ends.
 //!
 //! Strings may hold `${key}`; keys come from `[set]` and are overridden by `lacuna up GRAPH --set key=value`.
+//!
+//! # Branches
+//! A topic may stand in a namespace, `before/torque`: then two chains of the same stages run beside each other on one
+//! recording, and their messages stay apart on the bus and in the recording. The nodes that write into a namespace
+//! are a branch; a branch may have a model file of its own.
 
 use crate::BadInput;
 use serde::{Deserialize, Serialize};
@@ -47,8 +52,11 @@ pub struct Node {
     /// Topics it reads.
     #[serde(default)]
     pub inputs: Vec<String>,
-    /// Topic it writes, if any.
+    /// Topic it writes, if any: a name, or `namespace/name`.
     pub output: Option<String>,
+    /// Model file of this node; absent: the graph's. Nodes that write into one namespace have one model.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub model: Option<String>,
     /// Restart policy.
     #[serde(default)]
     pub restart: Restart,
@@ -64,6 +72,18 @@ pub struct Node {
     /// The stage's configuration, passed as it is.
     #[serde(default)]
     pub config: toml::Table,
+}
+
+impl Node {
+    /// Namespace that it writes into; empty for none.
+    pub fn namespace(&self) -> &str {
+        self.output.as_deref().map_or("", |topic| split_topic(topic).0)
+    }
+}
+
+/// Namespace and name of a topic; the namespace is empty for a topic of none.
+pub fn split_topic(topic: &str) -> (&str, &str) {
+    topic.split_once('/').unwrap_or(("", topic))
 }
 
 fn default_backoff() -> u64 {
@@ -133,6 +153,9 @@ impl GraphFile {
         for node in &mut self.nodes {
             let place = format!("node \"{}\"", node.name);
             node.exec = text(&node.exec, &place)?;
+            if let Some(model) = &mut node.model {
+                *model = text(model, &place)?;
+            }
             for arg in &mut node.args {
                 *arg = text(arg, &place)?;
             }
@@ -150,6 +173,23 @@ impl GraphFile {
     /// Names of the nodes that read `topic`.
     pub fn readers<'a>(&'a self, topic: &'a str) -> impl Iterator<Item = &'a Node> {
         self.nodes.iter().filter(move |n| n.inputs.iter().any(|t| t == topic))
+    }
+
+    /// Model file of `node`; empty for none.
+    pub fn model_of<'a>(&'a self, node: &'a Node) -> &'a str {
+        node.model.as_deref().unwrap_or(&self.model)
+    }
+
+    /// Model file of every namespace whose nodes have another than the graph's, in the order of the nodes.
+    pub fn branch_models(&self) -> Vec<(&str, &str)> {
+        let mut found: Vec<(&str, &str)> = Vec::new();
+        for node in &self.nodes {
+            let branch = (node.namespace(), self.model_of(node));
+            if branch.1 != self.model && !branch.1.is_empty() && !found.contains(&branch) {
+                found.push(branch);
+            }
+        }
+        found
     }
 
     /// The graph with the named nodes only; edges to nodes left out are cut.
@@ -214,7 +254,7 @@ impl GraphFile {
                 }
             }
             if let Some(topic) = &node.output {
-                valid_name("topic", topic)?;
+                valid_topic(topic)?;
                 if written.contains(&topic.as_str()) {
                     return Err(BadInput::new(format!(
                         "node \"{}\": topic \"{topic}\" has a writer already; expected one writer a topic",
@@ -223,8 +263,40 @@ impl GraphFile {
                 }
                 written.push(topic);
             }
+            self.one_model_a_branch(i, node)?;
         }
         Ok(())
+    }
+
+    /// A recording holds one model file for each namespace, so there must not be two.
+    fn one_model_a_branch(&self, index: usize, node: &Node) -> Result<(), BadInput> {
+        let space = node.namespace();
+        if space.is_empty() {
+            return match &node.model {
+                Some(_) => Err(BadInput::new(format!(
+                    "node \"{}\": has a model of its own; expected its output in a namespace, as in \"before/torque\"",
+                    node.name
+                ))),
+                None => Ok(()),
+            };
+        }
+        match self.nodes[..index].iter().find(|n| n.namespace() == space && self.model_of(n) != self.model_of(node)) {
+            Some(other) => Err(BadInput::new(format!(
+                "node \"{}\": found model \"{}\"; expected \"{}\", that of node \"{}\" in the same namespace",
+                node.name,
+                self.model_of(node),
+                self.model_of(other),
+                other.name
+            ))),
+            None => Ok(()),
+        }
+    }
+}
+
+fn valid_topic(topic: &str) -> Result<(), BadInput> {
+    match topic.split_once('/') {
+        Some((space, name)) => valid_name("topic's namespace", space).and_then(|()| valid_name("topic", name)),
+        None => valid_name("topic", topic),
     }
 }
 
@@ -351,6 +423,27 @@ mod tests {
             assert!(e.what.contains(expect), "expected '{expect}' in '{e}'");
         }
         assert_eq!(GraphFile::parse(&GRAPH.replace("mode", "mood")).unwrap_err().line, Some(2));
+    }
+
+    #[test]
+    fn a_namespace_has_one_model() {
+        let node = |name: &str, input: &str, output: &str, model: &str| {
+            format!("[[node]]\nname = \"{name}\"\nexec = \"x\"\ninputs = [\"{input}\"]\noutput = \"{output}\"\n{model}")
+        };
+        let graph =
+            |nodes: &[String]| GraphFile::parse(&(GRAPH.to_owned() + &nodes.concat())).and_then(|g| g.resolve(&[]));
+        let old = node("a", "smoothed", "old/torque", "");
+        let new = node("b", "smoothed", "new/torque", "model = \"m-${rate}.toml\"\n");
+        let g = graph(&[old.clone(), new.clone()]).unwrap();
+        assert_eq!(g.branch_models(), [("new", "m-1.5.toml")]);
+        assert_eq!((g.nodes[2].namespace(), g.model_of(&g.nodes[2])), ("old", ""));
+        let e = graph(&[old.clone(), new, node("c", "new/torque", "new/friction", "")]).unwrap_err().what;
+        assert!(e.contains("that of node \"b\""), "{e}");
+        let e = graph(&[node("b", "smoothed", "torque", "model = \"m\"\n")]).unwrap_err().what;
+        assert!(e.contains("in a namespace"), "{e}");
+        for topic in ["a/b/c", "/a", "a/", "a b"] {
+            assert!(graph(&[node("b", "smoothed", topic, "")]).is_err(), "{topic}");
+        }
     }
 
     #[test]

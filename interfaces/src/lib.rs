@@ -22,5 +22,6 @@ pub use recording::{Recording, Repair, RepairKind};
 pub use robot::RobotFile;
 pub use stage::{Stage, StageContext};
 pub use wire::{
-    FrictionTorque, Header, JointMeasured, JointSmoothed, Joints, MAX_JOINTS, PayloadEstimate, TorqueModel, Wire, flag,
+    FrictionTorque, Header, JointMeasured, JointSmoothed, Joints, MAX_JOINTS, PayloadEstimate, ResidualWatch,
+    TorqueModel, Wire, flag, region,
 };

@@ -12,6 +12,10 @@ pub const MAX_JOINTS: usize = 8;
 pub const MAX_HOPS: usize = 8;
 /// One value per joint.
 pub type Joints = [f64; MAX_JOINTS];
+/// One stamp per joint [ns].
+pub type Stamps = [i64; MAX_JOINTS];
+/// One small number per joint.
+pub type Words = [u32; MAX_JOINTS];
 /// Monotonic clock readings, one per hop.
 pub type Hops = [u64; MAX_HOPS];
 
@@ -39,6 +43,18 @@ pub mod flag {
     pub const SHORT_LAG: u32 = 1 << 9;
     /// The joint torque residual left the band that the model and its noise allow.
     pub const MISMATCH: u32 = 1 << 10;
+}
+
+/// Values of [`ResidualWatch::region_variable`](crate::ResidualWatch::region_variable): what the mismatch depends on.
+pub mod region {
+    /// On none of the others: it is told by its time alone.
+    pub const TIME: u32 = 0;
+    /// Joint velocity [rad/s].
+    pub const VELOCITY: u32 = 1;
+    /// Joint position [rad].
+    pub const POSITION: u32 = 2;
+    /// Model torque [Nm].
+    pub const LOAD: u32 = 3;
 }
 
 /// One field of a message, for layout checks and for generating definitions in other languages.
@@ -282,6 +298,28 @@ wire! {
         /// Standard deviation of m̂_p [kg].
         pub sd_mass_kg: f64,
     }
+
+    /// Where and when the residual leaves what the model and its noise allow. Published by the monitor.
+    pub struct ResidualWatch {
+        /// Mean residual of the joint's last complete block [Nm].
+        pub residual_nm: Joints,
+        /// Standard deviation that the model and its noise allow it [Nm]; 0 where none is known.
+        pub sd_nm: Joints,
+        /// Evidence of a mismatch as a share of the alarm's threshold: 1 and more is an alarm.
+        pub score: Joints,
+        /// Stamp since which the evidence grows [ns]: the estimated onset. Only where `score` > 0.
+        pub since_ns: Stamps,
+        /// Lower end of the region where the mismatch is, in the unit of `region_variable`. Only under an alarm.
+        pub region_low: Joints,
+        /// Upper end of it.
+        pub region_high: Joints,
+        /// Which variable the region is in, see [`region`].
+        pub region_variable: Words,
+        /// Bit i set: joint i is under alarm.
+        pub alarm: u32,
+        /// Bit i set: joint i is watched (its noise is known).
+        pub watched: u32,
+    }
 }
 
 #[cfg(test)]
@@ -305,6 +343,7 @@ mod tests {
         no_padding::<TorqueModel>();
         no_padding::<FrictionTorque>();
         no_padding::<PayloadEstimate>();
+        no_padding::<ResidualWatch>();
     }
 
     #[test]

@@ -15,7 +15,7 @@ use std::process::{Command, Output};
 use std::time::Duration;
 
 const MODEL: &str = "schema = \"lacuna.model/1\"\nrobot = \"D3-1200-class\"\n[rigid_body]\nrho1 = 1.1\nrho2 = 1.05\n\
-[friction]\nf_v = [0.5, 0.5, 0.5]\nf_c = [1.5, 1.5, 1.5]\n";
+[friction]\nf_v = [0.5, 0.5, 0.5]\nf_c = [1.5, 1.5, 1.5]\n[noise]\nsd_tau_nm = [0.5, 0.5, 0.5]\n";
 
 /// A folder with robot, model and a pick-and-place recording of `seconds`.
 fn folder(seconds: f64) -> Bench {
@@ -90,7 +90,7 @@ fn every_sample_is_recorded_once_in_order_and_twice_the_same() {
         let report = report(&done);
         assert_eq!(done.status.code(), Some(0));
         assert_eq!((report["samples"].as_u64(), report["lost"].as_u64()), (Some(rows), Some(0)));
-        for topic in ["measured", "smoothed", "torque", "friction", "payload"] {
+        for topic in ["measured", "smoothed", "torque", "friction", "payload", "monitor"] {
             assert_eq!(report["nodes"]["recorder"]["received"][topic], rows, "{topic}");
         }
         runs.push(messages(&bench.path().join(out)));

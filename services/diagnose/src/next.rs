@@ -5,13 +5,20 @@ use crate::findings::{Finding, NextExperiment};
 /// What to record if two explanations stay open.
 pub(crate) fn next_experiment(findings: &[Finding]) -> Option<NextExperiment> {
     let open = findings.iter().find_map(|f| {
-        let a = f.alternatives.iter().find(|a| a.probability > 0.1)?;
+        // No motion separates what the motor's position and torque cannot tell apart at all.
+        let same = lacuna_physics::effects::find(&f.effect).map_or(&[][..], |e| e.exact_group);
+        let a = f.alternatives.iter().find(|a| a.probability > 0.1 && !same.contains(&a.effect.as_str()))?;
         Some((f, a.effect.clone()))
     });
     if let Some((f, other)) = open {
         return Some(NextExperiment {
             separate: vec![f.effect.clone(), other.clone()],
-            words: format!("lacuna excite --separate {},{other}: {}", f.effect, advice(&f.effect)),
+            words: format!(
+                "lacuna excite --robot ROBOT --model model.toml --findings findings.json --separate {},{other} --out \
+                 motion.csv designs the motion; by hand: {}",
+                f.effect,
+                advice(&f.effect)
+            ),
         });
     }
     let group = findings.iter().find(|f| f.group.len() > 1)?;

@@ -35,7 +35,7 @@ fn limits_hold_and_the_information_grows() {
         let limit =
             |list: &Option<lacuna_interfaces::robot::PerJoint>, j: usize| list.as_ref().unwrap().get(j).unwrap();
         for k in 0..20_000 {
-            let (q, qd, qdd) = e.at(k as f64 * 0.5e-3);
+            let (q, qd, qdd) = e.motion.at(k as f64 * 0.5e-3);
             for j in 0..3 {
                 let l = &robot.limits;
                 assert!(q[j] >= limit(&l.q_min_rad, j) && q[j] <= limit(&l.q_max_rad, j));
@@ -46,11 +46,11 @@ fn limits_hold_and_the_information_grows() {
                 assert!((0..3).all(|i| tip[i] >= low[i] - 5e-3 && tip[i] <= high[i] + 5e-3), "{tip:?}");
             }
         }
-        let (_, qd, qdd) = e.at(0.0);
+        let (_, qd, qdd) = e.motion.at(0.0);
         assert!(qd.iter().chain(&qdd).all(|v| v.abs() < 1e-9), "starts at rest");
         assert_eq!(excite(&robot, body.as_ref(), &options, &mut |_| ()).unwrap(), e, "deterministic by seed");
         let mut text = Vec::new();
-        e.write_csv(100.0, &mut text).unwrap();
+        e.motion.write_csv(100.0, &mut text).unwrap();
         let text = String::from_utf8(text).unwrap();
         assert!(text.starts_with("t,q1,q2,q3,qd1,") && text.lines().count() == 1002);
     }

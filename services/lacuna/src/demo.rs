@@ -296,14 +296,14 @@ fn print_payload(carried: &Recorded, events: &[EventTruth]) {
 fn print_run(replay: &serde_json::Value, live: &serde_json::Value) {
     let rate = replay["samples"].as_f64().unwrap_or(0.0) / replay["seconds"].as_f64().unwrap_or(f64::NAN);
     println!(
-        "\nGraph: 6 processes, replay of v_P at {:.0} samples/s including start and end, {} lost",
+        "\nGraph: 7 processes, replay of v_P at {:.0} samples/s including start and end, {} lost",
         rate, replay["lost"]
     );
     println!(
         "Live at 1 kHz, latency per hop (µs)           p50       p99     p99.9       max    {} lost",
         live["lost"]
     );
-    let names = ["source", "smoother", "torque", "friction", "payload", "recorder"].map(str::to_owned);
+    let names = ["source", "smoother", "torque", "friction", "payload", "monitor", "recorder"].map(str::to_owned);
     let hops: Vec<HopLatency> =
         serde_json::from_value(live["nodes"]["recorder"]["latency"].clone()).unwrap_or_default();
     for hop in hops {

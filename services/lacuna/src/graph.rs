@@ -69,8 +69,9 @@ fn locate(exec: &str) -> Result<PathBuf, Failure> {
 pub fn up(args: UpArgs) -> CommandResult {
     let graph = load(&args)?;
     let robot = lacuna_recording::load_robot(Path::new(&graph.robot))?;
-    if !graph.model.is_empty() {
-        lacuna_recording::load_model(Path::new(&graph.model), &robot.file)?;
+    let own = graph.branch_models().into_iter().map(|(_, model)| model);
+    for model in own.chain([graph.model.as_str()]).filter(|m| !m.is_empty()) {
+        lacuna_recording::load_model(Path::new(model), &robot.file)?;
     }
     let executables = graph.nodes.iter().map(|n| locate(&n.exec)).collect::<Result<Vec<_>, _>>()?;
     if args.dry_run {
@@ -97,6 +98,9 @@ fn print_plan(graph: &GraphFile, executables: &[PathBuf]) {
     let _ = writeln!(out, "graph {} ({mode}, buffer {})", graph.name, graph.buffer);
     let _ = writeln!(out, "robot {}", graph.robot);
     let _ = writeln!(out, "model {}", if graph.model.is_empty() { "none" } else { &graph.model });
+    for (space, model) in graph.branch_models() {
+        let _ = writeln!(out, "model {model} in {space}/");
+    }
     for (node, exec) in graph.nodes.iter().zip(executables) {
         let inputs = if node.inputs.is_empty() { "-".to_owned() } else { node.inputs.join(" + ") };
         let _ = writeln!(

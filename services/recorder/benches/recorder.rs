@@ -182,17 +182,24 @@ fn encoding(samples: &[All]) {
 
 fn record(robot: &RobotFile, samples: &mut [All], path: &Path, name: &str, more: &str) -> u64 {
     let config: Config = toml::from_str(&format!("path = '{}'\n{more}", path.display())).expect("a valid config");
-    let run = Run { robot, streams: &Stream::ALL, live: false, attachments: Vec::new(), facts: BTreeMap::new() };
+    let run = Run {
+        robot,
+        streams: &Stream::ALL,
+        branches: &[],
+        live: false,
+        attachments: Vec::new(),
+        facts: BTreeMap::new(),
+    };
     let (start, cpu) = (Instant::now(), cpu_s());
     let mut recorder = Recorder::new(&config, &run).expect("a new file");
     for (k, i) in (0..SAMPLES).zip((0..samples.len()).cycle()) {
         let m = &mut samples[i];
         m.number(k);
-        recorder.measured(&m.measured).expect("room on the disk");
-        recorder.smoothed(&m.smoothed).expect("room on the disk");
-        recorder.torque(&m.torque).expect("room on the disk");
-        recorder.friction(&m.friction).expect("room on the disk");
-        recorder.payload(&m.payload).expect("room on the disk");
+        recorder.lane(0).expect("the root").measured(&m.measured).expect("room on the disk");
+        recorder.lane(0).expect("the root").smoothed(&m.smoothed).expect("room on the disk");
+        recorder.lane(0).expect("the root").torque(&m.torque).expect("room on the disk");
+        recorder.lane(0).expect("the root").friction(&m.friction).expect("room on the disk");
+        recorder.lane(0).expect("the root").payload(&m.payload).expect("room on the disk");
     }
     let counts = recorder.finish().expect("room on the disk");
     let bytes = std::fs::metadata(path).expect("the file").len();

@@ -1,6 +1,6 @@
 //! What the recorder is told: by the graph file, and by the run.
 
-use crate::streams::Stream;
+use crate::streams::{Stream, in_namespace};
 use crate::{Attachment, Facts, WriteError};
 use lacuna_interfaces::{BadInput, RobotFile};
 use lacuna_recording::container::{Compression, WhenFull, WriterOptions};
@@ -61,13 +61,24 @@ fn default_sync() -> f64 {
     3.0
 }
 
+/// Streams of a namespace: their topics stand below it, `/before/residual`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Branch {
+    /// Namespace, not empty, distinct.
+    pub namespace: String,
+    /// Messages that will come in it.
+    pub streams: Vec<Stream>,
+}
+
 /// What the recorder is told about the run.
 #[derive(Debug, Clone)]
 pub struct Run<'a> {
     /// The robot.
     pub robot: &'a RobotFile,
-    /// Messages that will come.
+    /// Messages that will come, those of branches aside.
     pub streams: &'a [Stream],
+    /// Messages that will come in namespaces of their own.
+    pub branches: &'a [Branch],
     /// `true`: what the disk cannot take is dropped and counted; `false`: the caller waits.
     pub live: bool,
     /// Robot, model and graph files.
@@ -162,7 +173,10 @@ impl Run<'_> {
     /// The metadata record `lacuna`.
     pub(crate) fn facts_with(&self, path: &Path) -> Facts {
         let mut facts = self.facts.clone();
-        let streams: Vec<&str> = self.streams.iter().map(|s| s.name()).collect();
+        let root = self.streams.iter().map(|s| s.name().to_owned());
+        let branches =
+            self.branches.iter().flat_map(|b| b.streams.iter().map(|s| in_namespace(&b.namespace, s.name())));
+        let streams: Vec<String> = root.chain(branches).collect();
         for (key, value) in [
             ("version", env!("CARGO_PKG_VERSION").to_owned()),
             ("robot", self.robot.name.clone()),

@@ -10,7 +10,10 @@
 //! | [`FrictionTorque`] | `/friction` | effort |
 //! | [`PayloadEstimate`] | `/residual`, `/residual_payload` | effort |
 //! | | `/payload` | mass and its standard deviation |
+//! | [`ResidualWatch`] | `/monitor` | block residual, its allowed size, evidence, alarm and region |
 //! | the last of them | `/status` | sequence, flags, drops, latencies |
+//!
+//! Streams of a namespace (`before`, `after`) stand below it: `/before/residual`, `/after/residual`.
 //!
 //! Pure apart from the file: the bus and the clock are the process's business. Each stream's sequence is
 //! checked; what is missing is counted, and only a finished recording carries `complete = true`.
@@ -18,14 +21,16 @@
 mod config;
 mod streams;
 
-pub use config::{Config, Run};
+pub use config::{Branch, Config, Run};
 pub use lacuna_recording::container::{Attachment, WriteError};
 pub use streams::{Counts, Stream};
 
 use lacuna_interfaces::{
-    BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, PayloadEstimate, TorqueModel, flag,
+    BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, MAX_JOINTS, PayloadEstimate, ResidualWatch,
+    TorqueModel, flag,
 };
 use lacuna_recording::container::{Finished, MessageBatch, Writer};
+use lacuna_recording::ros::bag;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use streams::{Sequences, Topics};
@@ -34,11 +39,27 @@ use streams::{Sequences, Topics};
 #[derive(Debug)]
 pub struct Recorder {
     writer: Writer,
-    topics: Topics,
-    sequences: Sequences,
+    /// The streams without a namespace, then those of the branches in their order.
+    lanes: Vec<Lane>,
     joints: usize,
     /// The bag folder and the file's name in it, if there is one.
     bag: Option<(PathBuf, String)>,
+}
+
+/// The streams of one namespace.
+#[derive(Debug)]
+struct Lane {
+    namespace: String,
+    topics: Topics,
+    sequences: Sequences,
+}
+
+/// Writes samples of one namespace.
+#[derive(Debug)]
+pub struct LaneWriter<'a> {
+    writer: &'a mut Writer,
+    lane: &'a mut Lane,
+    joints: usize,
 }
 
 impl Recorder {
@@ -50,7 +71,7 @@ impl Recorder {
     /// be written.
     pub fn new(config: &Config, run: &Run<'_>) -> Result<Self, WriteError> {
         let options = config.options(run.live)?;
-        if run.streams.is_empty() {
+        if run.streams.is_empty() && run.branches.iter().all(|b| b.streams.is_empty()) {
             return Err(BadInput::new("found no stream to record; expected at least one").into());
         }
         let (file, bag) = config.place()?;
@@ -59,10 +80,58 @@ impl Recorder {
         for attachment in &run.attachments {
             writer.attach(attachment)?;
         }
-        let topics = Topics::declare(&mut writer, run)?;
-        Ok(Self { writer, topics, sequences: Sequences::default(), joints: run.robot.joint_count(), bag })
+        let branches = run.branches.iter().map(|b| (b.namespace.as_str(), b.streams.as_slice()));
+        let lanes = [("", run.streams)]
+            .into_iter()
+            .chain(branches)
+            .map(|(namespace, streams)| {
+                let topics = Topics::declare(&mut writer, &run.robot.joints, namespace, streams)?;
+                Ok(Lane { namespace: namespace.to_owned(), topics, sequences: Sequences::default() })
+            })
+            .collect::<Result<_, WriteError>>()?;
+        Ok(Self { writer, lanes, joints: run.robot.joint_count(), bag })
     }
 
+    /// Where samples of lane `index` go: 0 for the streams without a namespace, then the branches from 1.
+    ///
+    /// # Errors
+    /// [`WriteError`] if there is no such lane.
+    pub fn lane(&mut self, index: usize) -> Result<LaneWriter<'_>, WriteError> {
+        let count = self.lanes.len();
+        match self.lanes.get_mut(index) {
+            Some(lane) => Ok(LaneWriter { writer: &mut self.writer, lane, joints: self.joints }),
+            None => Err(BadInput::new(format!("found a sample of lane {index}; expected one of {count}")).into()),
+        }
+    }
+
+    /// Counts so far; messages per topic are known only to [`Recorder::finish`].
+    pub fn counts(&self) -> Counts {
+        let mut counts = Counts { dropped: self.writer.dropped(), ..Counts::default() };
+        for lane in &self.lanes {
+            lane.sequences.add_to(&mut counts, &lane.namespace);
+        }
+        counts
+    }
+
+    /// Completes the file: what is left, a metadata record `lacuna.end` with the counts and `complete = true`,
+    /// the index, the end mark; and the bag folder's `metadata.yaml`.
+    ///
+    /// # Errors
+    /// As [`LaneWriter::measured`]. A recording whose `finish` failed does not count as complete.
+    pub fn finish(mut self) -> Result<Counts, WriteError> {
+        let mut counts = self.counts();
+        self.writer.metadata("lacuna.end", &counts.facts())?;
+        let finished = self.writer.finish()?;
+        let topics: Vec<bag::Topic> = self.lanes.iter().flat_map(|l| l.topics.bag_topics(&finished)).collect();
+        counts.messages = topics.iter().map(|t| (t.name.clone(), t.count)).collect();
+        if let Some((folder, file)) = &self.bag {
+            write_bag_metadata(folder, file, &topics, &finished)?;
+        }
+        Ok(counts)
+    }
+}
+
+impl LaneWriter<'_> {
     /// Records a measured sample.
     ///
     /// # Errors
@@ -92,7 +161,7 @@ impl Recorder {
     /// Records a smoothed sample.
     ///
     /// # Errors
-    /// As [`Recorder::measured`].
+    /// As [`LaneWriter::measured`].
     pub fn smoothed(&mut self, m: &JointSmoothed) -> Result<(), WriteError> {
         let n = self.joints;
         self.record(Stream::Smoothed, &m.header, |topics, batch| {
@@ -113,7 +182,7 @@ impl Recorder {
     /// Records model torques.
     ///
     /// # Errors
-    /// As [`Recorder::measured`].
+    /// As [`LaneWriter::measured`].
     pub fn torque(&mut self, m: &TorqueModel) -> Result<(), WriteError> {
         let n = self.joints;
         self.record(Stream::Torque, &m.header, |topics, batch| {
@@ -125,7 +194,7 @@ impl Recorder {
     /// Records friction torques.
     ///
     /// # Errors
-    /// As [`Recorder::measured`].
+    /// As [`LaneWriter::measured`].
     pub fn friction(&mut self, m: &FrictionTorque) -> Result<(), WriteError> {
         let n = self.joints;
         self.record(Stream::Friction, &m.header, |topics, batch| {
@@ -136,7 +205,7 @@ impl Recorder {
     /// Records a payload estimate and the residuals.
     ///
     /// # Errors
-    /// As [`Recorder::measured`].
+    /// As [`LaneWriter::measured`].
     pub fn payload(&mut self, m: &PayloadEstimate) -> Result<(), WriteError> {
         let n = self.joints;
         self.record(Stream::Payload, &m.header, |topics, batch| {
@@ -154,6 +223,29 @@ impl Recorder {
         })
     }
 
+    /// Records what the monitor makes of the residual.
+    ///
+    /// # Errors
+    /// As [`LaneWriter::measured`].
+    pub fn watch(&mut self, m: &ResidualWatch) -> Result<(), WriteError> {
+        let n = self.joints;
+        self.record(Stream::Watch, &m.header, |topics, batch| {
+            topics.write(Topics::WATCH, batch, &m.header, |mut slots| {
+                slots = slots.numbers(&m.residual_nm[..n]).numbers(&m.sd_nm[..n]).numbers(&m.score[..n]);
+                let (mut alarm, mut watched) = ([0; MAX_JOINTS], [0; MAX_JOINTS]);
+                for j in 0..n {
+                    alarm[j] = (m.alarm >> j & 1) as u8;
+                    watched[j] = (m.watched >> j & 1) as u8;
+                }
+                slots = slots.bytes(&watched[..n]).bytes(&alarm[..n]);
+                let since = m.since_ns.map(|ns| ns as f64 * 1e-9);
+                let variable = m.region_variable.map(|v| v as u8);
+                slots = slots.numbers(&since[..n]).bytes(&variable[..n]);
+                slots.numbers(&m.region_low[..n]).numbers(&m.region_high[..n]).done();
+            });
+        })
+    }
+
     fn record(
         &mut self,
         stream: Stream,
@@ -163,47 +255,26 @@ impl Recorder {
         if header.has(flag::END_OF_STREAM) {
             return Ok(());
         }
-        if !self.topics.holds(stream) {
+        if !self.lane.topics.holds(stream) {
             let what = format!("found a sample of stream {}, which was not announced", stream.name());
             return Err(BadInput::new(what).into());
         }
-        self.sequences.saw(stream, header.seq);
+        self.lane.sequences.saw(stream, header.seq);
         let mut batch = self.writer.batch();
-        write(&self.topics, &mut batch);
-        self.topics.status(stream, &mut batch, header);
+        write(&self.lane.topics, &mut batch);
+        self.lane.topics.status(stream, &mut batch, header);
         if batch.end() { Ok(()) } else { Err(self.writer.failure()) }
-    }
-
-    /// Counts so far; messages per topic are known only to [`Recorder::finish`].
-    pub fn counts(&self) -> Counts {
-        self.sequences.counts(self.writer.dropped())
-    }
-
-    /// Completes the file: what is left, a metadata record `lacuna.end` with the counts and `complete = true`,
-    /// the index, the end mark; and the bag folder's `metadata.yaml`.
-    ///
-    /// # Errors
-    /// As [`Recorder::measured`]. A recording whose `finish` failed does not count as complete.
-    pub fn finish(mut self) -> Result<Counts, WriteError> {
-        let mut counts = self.counts();
-        self.writer.metadata("lacuna.end", &counts.facts())?;
-        let finished = self.writer.finish()?;
-        counts.messages = self.topics.named(&finished);
-        if let Some((folder, file)) = &self.bag {
-            write_bag_metadata(folder, file, &self.topics, &finished)?;
-        }
-        Ok(counts)
     }
 }
 
 fn write_bag_metadata(
     folder: &std::path::Path,
     file: &str,
-    topics: &Topics,
+    topics: &[bag::Topic],
     finished: &Finished,
 ) -> Result<(), WriteError> {
     let (start, end) = finished.times.unwrap_or((0, 0));
-    let text = lacuna_recording::ros::bag::metadata_yaml(file, start, end, &topics.bag_topics(finished));
+    let text = bag::metadata_yaml(file, start, end, topics);
     let path = folder.join("metadata.yaml");
     std::fs::write(&path, text).map_err(|source| WriteError::Io { path, action: "written", source })
 }

@@ -1,8 +1,8 @@
 //! The recorder process: the bus into a file.
 
-use lacuna_interfaces::graph::Mode;
+use lacuna_interfaces::graph::{Mode, split_topic};
 use lacuna_interfaces::{BadInput, RobotFile};
-use lacuna_recorder::{Attachment, Config, Recorder, Run, Stream};
+use lacuna_recorder::{Attachment, Branch, Config, Recorder, Run, Stream};
 use lacuna_stage::{AnyMessage, Sink, SinkContext, run_sink};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -13,6 +13,7 @@ struct Process {
     config: Config,
     robot: RobotFile,
     streams: Vec<Stream>,
+    branches: Vec<Branch>,
     live: bool,
     attachments: Vec<Attachment>,
     facts: BTreeMap<String, String>,
@@ -25,6 +26,7 @@ impl Process {
             let run = Run {
                 robot: &self.robot,
                 streams: &self.streams,
+                branches: &self.branches,
                 live: self.live,
                 attachments: std::mem::take(&mut self.attachments),
                 facts: std::mem::take(&mut self.facts),
@@ -59,7 +61,11 @@ fn attachments(context: &SinkContext<'_>) -> Result<Vec<Attachment>, BadInput> {
             data: text.as_bytes().to_vec(),
         })
     };
-    Ok(files.into_iter().filter_map(attach).collect())
+    let mut all: Vec<Attachment> = files.into_iter().filter_map(attach).collect();
+    for (space, text) in context.branch_models {
+        all.extend(attach((&format!("model-{space}.toml"), "application/toml", Some(text))));
+    }
+    Ok(all)
 }
 
 impl Sink for Process {
@@ -72,20 +78,31 @@ impl Sink for Process {
         let live = context.mode == Mode::Live;
         config.check(live).map_err(|e| BadInput::new(e.to_string()))?;
         let mut streams = Vec::new();
+        let mut branches: Vec<Branch> = Vec::new();
         for (topic, message) in context.topics {
             let stream = Stream::of_message(message).ok_or_else(|| {
                 BadInput::new(format!("topic \"{topic}\": {message} is not a message the recorder knows"))
             })?;
-            if streams.contains(&stream) {
+            let namespace = split_topic(topic).0;
+            let lane = if namespace.is_empty() {
+                &mut streams
+            } else {
+                if !branches.iter().any(|b| b.namespace == namespace) {
+                    branches.push(Branch { namespace: namespace.to_owned(), streams: Vec::new() });
+                }
+                branches.iter_mut().find(|b| b.namespace == namespace).map_or(&mut streams, |b| &mut b.streams)
+            };
+            if lane.contains(&stream) {
                 return Err(BadInput::new(format!(
-                    "topic \"{topic}\": a second topic of {message}; expected one of each"
+                    "topic \"{topic}\": a second topic of {message}; expected one of each in a namespace, as in \"before/{topic}\""
                 )));
             }
-            streams.push(stream);
+            lane.push(stream);
         }
         Ok(Self {
             robot: context.robot.clone(),
             streams,
+            branches,
             live,
             attachments: attachments(context)?,
             facts: [("graph", context.graph.name.as_str()), ("torque_unit", context.robot.torque_unit.symbol())]
@@ -96,14 +113,17 @@ impl Sink for Process {
         })
     }
 
-    fn take(&mut self, _topic: &str, message: AnyMessage<'_>, _missing: u64) -> Result<(), String> {
-        let recorder = self.recorder()?;
+    fn take(&mut self, topic: &str, message: AnyMessage<'_>, _missing: u64) -> Result<(), String> {
+        let namespace = split_topic(topic).0;
+        let index = self.branches.iter().position(|b| b.namespace == namespace).map_or(0, |i| i + 1);
+        let mut recorder = self.recorder()?.lane(index).map_err(|e| e.to_string())?;
         match message {
             AnyMessage::JointMeasured(m) => recorder.measured(m),
             AnyMessage::JointSmoothed(m) => recorder.smoothed(m),
             AnyMessage::TorqueModel(m) => recorder.torque(m),
             AnyMessage::FrictionTorque(m) => recorder.friction(m),
             AnyMessage::PayloadEstimate(m) => recorder.payload(m),
+            AnyMessage::ResidualWatch(m) => recorder.watch(m),
         }
         .map_err(|e| e.to_string())
     }
@@ -123,9 +143,8 @@ impl Sink for Process {
         self.recorder()?;
         let Some(recorder) = self.recorder.take() else { return Err("no recorder".to_owned()) };
         let counts = recorder.finish().map_err(|e| e.to_string())?;
-        let samples: BTreeMap<&str, u64> = counts.samples.iter().map(|(s, n)| (s.name(), *n)).collect();
         Ok(serde_json::json!({
-            "path": path, "complete": true, "samples": samples, "messages": counts.messages, "dropped": counts.dropped,
+            "path": path, "complete": true, "samples": counts.samples, "messages": counts.messages, "dropped": counts.dropped,
         }))
     }
 }

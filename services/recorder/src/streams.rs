@@ -1,7 +1,9 @@
 //! Streams, their topics and their counts.
 
-use crate::{Facts, Run, WriteError};
-use lacuna_interfaces::{FrictionTorque, Header, JointMeasured, JointSmoothed, PayloadEstimate, TorqueModel, Wire};
+use crate::{Facts, WriteError};
+use lacuna_interfaces::{
+    FrictionTorque, Header, JointMeasured, JointSmoothed, PayloadEstimate, ResidualWatch, TorqueModel, Wire,
+};
 use lacuna_recording::container::{ChannelId, Finished, MessageBatch, Writer};
 use lacuna_recording::ros::bag;
 use lacuna_recording::ros::cdr::Filler;
@@ -22,11 +24,14 @@ pub enum Stream {
     Friction,
     /// [`lacuna_interfaces::PayloadEstimate`].
     Payload,
+    /// [`lacuna_interfaces::ResidualWatch`].
+    Watch,
 }
 
 impl Stream {
     /// All, in order.
-    pub const ALL: [Self; 5] = [Self::Measured, Self::Smoothed, Self::Torque, Self::Friction, Self::Payload];
+    pub const ALL: [Self; 6] =
+        [Self::Measured, Self::Smoothed, Self::Torque, Self::Friction, Self::Payload, Self::Watch];
 
     /// The stream of a wire message's name.
     pub fn of_message(name: &str) -> Option<Self> {
@@ -36,6 +41,7 @@ impl Stream {
             TorqueModel::NAME => Some(Self::Torque),
             FrictionTorque::NAME => Some(Self::Friction),
             PayloadEstimate::NAME => Some(Self::Payload),
+            ResidualWatch::NAME => Some(Self::Watch),
             _ => None,
         }
     }
@@ -48,6 +54,7 @@ impl Stream {
             Self::Torque => "torque",
             Self::Friction => "friction",
             Self::Payload => "payload",
+            Self::Watch => "monitor",
         }
     }
 }
@@ -55,12 +62,12 @@ impl Stream {
 /// What was recorded.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Samples taken per stream.
-    pub samples: BTreeMap<Stream, u64>,
+    /// Samples taken per stream (`payload`, or `before/payload` in a namespace).
+    pub samples: BTreeMap<String, u64>,
     /// Sequence numbers that never came, per stream (only streams that miss any).
-    pub missing: BTreeMap<Stream, u64>,
+    pub missing: BTreeMap<String, u64>,
     /// Sequence numbers that came again or out of order, per stream (only streams with any).
-    pub repeated: BTreeMap<Stream, u64>,
+    pub repeated: BTreeMap<String, u64>,
     /// Messages in the file, per topic.
     pub messages: BTreeMap<String, u64>,
     /// Messages dropped because the disk was too slow (live only).
@@ -80,7 +87,7 @@ impl Counts {
         facts.insert("dropped".to_owned(), self.dropped.to_string());
         for (what, list) in [("samples", &self.samples), ("missing", &self.missing), ("repeated", &self.repeated)] {
             for (stream, count) in list {
-                facts.insert(format!("{what}.{}", stream.name()), count.to_string());
+                facts.insert(format!("{what}.{stream}"), count.to_string());
             }
         }
         facts
@@ -114,29 +121,43 @@ impl Sequences {
         }
     }
 
-    pub(crate) fn counts(&self, dropped: u64) -> Counts {
-        let list = |of: fn(&Seen) -> u64| {
-            Stream::ALL.into_iter().zip(self.seen.iter().map(of)).filter(|(_, n)| *n > 0).collect()
-        };
-        Counts {
-            samples: list(|s| s.samples),
-            missing: list(|s| s.missing),
-            repeated: list(|s| s.repeated),
-            messages: BTreeMap::new(),
-            dropped,
+    /// Adds the counts of the streams of `namespace`.
+    pub(crate) fn add_to(&self, counts: &mut Counts, namespace: &str) {
+        for (stream, seen) in Stream::ALL.into_iter().zip(&self.seen) {
+            let name = in_namespace(namespace, stream.name());
+            for (list, n) in [
+                (&mut counts.samples, seen.samples),
+                (&mut counts.missing, seen.missing),
+                (&mut counts.repeated, seen.repeated),
+            ] {
+                if n > 0 {
+                    list.insert(name.clone(), n);
+                }
+            }
         }
     }
 }
 
-/// The recording's topics; those of streams that do not come are absent.
+/// `before/payload`; without a namespace the name alone.
+pub(crate) fn in_namespace(namespace: &str, name: &str) -> String {
+    if namespace.is_empty() { name.to_owned() } else { format!("{namespace}/{name}") }
+}
+
+/// `/before/residual`; without a namespace the topic as it is.
+fn full(namespace: &str, topic: &str) -> String {
+    if namespace.is_empty() { topic.to_owned() } else { format!("/{namespace}{topic}") }
+}
+
+/// The topics of a namespace; those of streams that do not come are absent.
 #[derive(Debug)]
 pub(crate) struct Topics {
+    namespace: String,
     list: [Option<Topic>; NAMES.len()],
     status: Option<(Stream, StatusTopic)>,
 }
 
 /// Topic names in the order of the constants of [`Topics`], with the stream they belong to and their type.
-const NAMES: [(Stream, &str, &str); 10] = [
+const NAMES: [(Stream, &str, &str); 11] = [
     (Stream::Measured, "/measured/detail", schema::MEASURED_DETAIL.name),
     (Stream::Measured, "/measured", schema::JOINT_STATE.name),
     (Stream::Smoothed, "/smoothed", schema::JOINT_STATE.name),
@@ -147,6 +168,7 @@ const NAMES: [(Stream, &str, &str); 10] = [
     (Stream::Payload, "/residual", schema::JOINT_STATE.name),
     (Stream::Payload, "/residual_payload", schema::JOINT_STATE.name),
     (Stream::Payload, "/payload", schema::PAYLOAD.name),
+    (Stream::Watch, "/monitor", schema::RESIDUAL_WATCH.name),
 ];
 const STATUS: &str = "/status";
 
@@ -161,30 +183,38 @@ impl Topics {
     pub(crate) const RESIDUAL: usize = 7;
     pub(crate) const RESIDUAL_PAYLOAD: usize = 8;
     pub(crate) const PAYLOAD: usize = 9;
+    pub(crate) const WATCH: usize = 10;
 
-    pub(crate) fn declare(writer: &mut Writer, run: &Run<'_>) -> Result<Self, WriteError> {
-        let joints = &run.robot.joints;
+    /// Declares the topics of the streams that will come in `namespace`.
+    pub(crate) fn declare(
+        writer: &mut Writer,
+        joints: &[String],
+        namespace: &str,
+        streams: &[Stream],
+    ) -> Result<Self, WriteError> {
         let mut list = [const { None }; NAMES.len()];
         for (i, slot) in list.iter_mut().enumerate() {
             let (stream, name, _) = NAMES[i];
-            if !run.streams.contains(&stream) {
+            if !streams.contains(&stream) {
                 continue;
             }
+            let name = &full(namespace, name);
             let has = |position, velocity, effort| Has { position, velocity, effort };
             *slot = Some(match i {
                 Self::MEASURED_DETAIL => Topic::measured_detail(writer, name, joints)?,
                 Self::SMOOTHED_DETAIL => Topic::motion_detail(writer, name, joints)?,
                 Self::PAYLOAD => Topic::payload(writer, name)?,
+                Self::WATCH => Topic::residual_watch(writer, name, joints)?,
                 Self::MEASURED => Topic::joint_state(writer, name, joints, has(true, false, true))?,
                 Self::SMOOTHED => Topic::joint_state(writer, name, joints, has(true, true, false))?,
                 _ => Topic::joint_state(writer, name, joints, has(false, false, true))?,
             });
         }
-        let status = match run.streams.iter().max() {
-            Some(&last) => Some((last, StatusTopic::new(writer, STATUS)?)),
+        let status = match streams.iter().max() {
+            Some(&last) => Some((last, StatusTopic::new(writer, &full(namespace, STATUS))?)),
             None => None,
         };
-        Ok(Self { list, status })
+        Ok(Self { namespace: namespace.to_owned(), list, status })
     }
 
     /// Whether a stream's topics were declared.
@@ -215,25 +245,16 @@ impl Topics {
         }
     }
 
-    fn channels(&self) -> impl Iterator<Item = (&'static str, &'static str, ChannelId)> {
+    fn channels(&self) -> impl Iterator<Item = (String, &'static str, ChannelId)> {
         let typed = NAMES.iter().zip(&self.list);
         let listed = typed.filter_map(|((_, name, kind), topic)| Some((*name, *kind, topic.as_ref()?.channel())));
-        listed.chain(self.status.iter().map(|(_, topic)| (STATUS, schema::STATUS.name, topic.channel())))
+        let status = self.status.iter().map(|(_, topic)| (STATUS, schema::STATUS.name, topic.channel()));
+        listed.chain(status).map(|(name, kind, channel)| (full(&self.namespace, name), kind, channel))
     }
 
-    /// Messages in the file by topic.
-    pub(crate) fn named(&self, finished: &Finished) -> BTreeMap<String, u64> {
-        let count = |id| finished.messages.get(&id).copied().unwrap_or(0);
-        self.channels().map(|(name, _, id)| (name.to_owned(), count(id))).collect()
-    }
-
+    /// Topics with their messages in the file.
     pub(crate) fn bag_topics(&self, finished: &Finished) -> Vec<bag::Topic> {
         let count = |id| finished.messages.get(&id).copied().unwrap_or(0);
-        let topic = |(name, kind, id): (&str, &str, ChannelId)| bag::Topic {
-            name: name.to_owned(),
-            kind: kind.to_owned(),
-            count: count(id),
-        };
-        self.channels().map(topic).collect()
+        self.channels().map(|(name, kind, id)| bag::Topic { name, kind: kind.to_owned(), count: count(id) }).collect()
     }
 }

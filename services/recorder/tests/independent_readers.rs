@@ -80,6 +80,11 @@ fn check(found: &Value, n: u64) {
         ("/friction", "effort", 11),
         ("/residual", "effort", 12),
         ("/residual_payload", "effort", 13),
+        ("/monitor", "residual", 16),
+        ("/monitor", "residual_sd", 17),
+        ("/monitor", "score", 18),
+        ("/monitor", "region_low", 19),
+        ("/monitor", "region_high", 20),
     ];
     for k in 0..n {
         let at = k as usize;
@@ -94,6 +99,11 @@ fn check(found: &Value, n: u64) {
         assert_eq!(floats(&payload["mass_sd"][at]), [number(15, k, 1)]);
         assert_eq!(payload["excited"][at], k % 10 != 3);
         assert_eq!(payload["step"][at], false);
+        let watch = &topics["/monitor"]["fields"];
+        assert_eq!(watch["watched"][at], serde_json::json!([true, false, true]));
+        assert_eq!(watch["alarm"][at], serde_json::json!([true, false, false]));
+        assert_eq!(floats(&watch["since"][at]), [stamp(k), stamp(k / 2), 0].map(|ns| ns as f64 * 1e-9));
+        assert_eq!(watch["region_variable"][at], serde_json::json!([1, 3, 0]));
         let status = &topics["/status"]["fields"];
         assert_eq!(status["seq"][at], k + 1);
         assert_eq!(status["lag_ns"][at], 5);

@@ -3,8 +3,8 @@
 mod common;
 
 use common::{TOPICS, config, header, record, robot, run, stamp};
-use lacuna_interfaces::{JointMeasured, RepairKind, flag};
-use lacuna_recorder::{Recorder, Stream};
+use lacuna_interfaces::{JointMeasured, PayloadEstimate, RepairKind, flag};
+use lacuna_recorder::{Branch, Recorder, Run, Stream};
 use lacuna_recording::{ReadOptions, open, open_with, read_all};
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -52,16 +52,16 @@ fn missing_and_repeated_sequence_numbers_are_counted() {
     let streams = [Stream::Measured];
     let mut recorder = Recorder::new(&config(&dir.path().join("a.mcap"), ""), &run(&robot, &streams)).unwrap();
     for seq in [3, 4, 5, 9, 9, 8, 10] {
-        recorder.measured(&measured(seq)).unwrap();
+        recorder.lane(0).unwrap().measured(&measured(seq)).unwrap();
     }
     let mut end = measured(11);
     end.header.flags = flag::END_OF_STREAM;
-    recorder.measured(&end).unwrap();
-    assert!(recorder.smoothed(&Default::default()).is_err(), "a stream that was not announced");
+    recorder.lane(0).unwrap().measured(&end).unwrap();
+    assert!(recorder.lane(0).unwrap().smoothed(&Default::default()).is_err(), "a stream that was not announced");
     let counts = recorder.finish().unwrap();
-    assert_eq!(counts.samples[&Stream::Measured], 7);
-    assert_eq!(counts.missing[&Stream::Measured], 2 + 3);
-    assert_eq!(counts.repeated[&Stream::Measured], 2);
+    assert_eq!(counts.samples["measured"], 7);
+    assert_eq!(counts.missing["measured"], 2 + 3);
+    assert_eq!(counts.repeated["measured"], 2);
     assert_eq!(counts.messages["/status"], 7, "the status comes with the last stream there is");
     assert!(!counts.lossless());
 }
@@ -220,4 +220,47 @@ fn a_killed_recorder_loses_at_most_the_flush_interval() {
         assert_eq!(read_all(&to, &robot()).unwrap().len() as u64, count);
         assert_eq!(recovered.finished.messages.len(), TOPICS.len());
     }
+}
+
+#[test]
+fn branches_stand_below_their_namespace_and_are_counted_apart() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    let robot = robot();
+    let branches = ["before", "after"]
+        .map(|space| Branch { namespace: space.to_owned(), streams: vec![Stream::Friction, Stream::Payload] });
+    let streams = [Stream::Measured];
+    let run = Run { branches: &branches, ..run(&robot, &streams) };
+    let mut recorder = Recorder::new(&config(&path, ""), &run).unwrap();
+    let sample = |k: u64, nm: f64| PayloadEstimate { header: header(k), residual_nm: [nm; 8], ..Default::default() };
+    for k in 0..100 {
+        recorder.lane(0).unwrap().measured(&measured(k + 1)).unwrap();
+        recorder.lane(1).unwrap().payload(&sample(k, 2.0)).unwrap();
+        if k != 7 {
+            recorder.lane(2).unwrap().payload(&sample(k, 1.0)).unwrap();
+        }
+    }
+    assert!(recorder.lane(1).unwrap().measured(&measured(1)).is_err(), "not announced in this namespace");
+    assert!(recorder.lane(3).is_err());
+    let counts = recorder.finish().unwrap();
+    assert_eq!((counts.samples["before/payload"], counts.samples["after/payload"]), (100, 99));
+    assert_eq!(counts.missing.iter().collect::<Vec<_>>(), [(&"after/payload".to_owned(), &1)]);
+    assert_eq!((counts.messages["/status"], counts.messages["/after/status"]), (100, 99));
+    // The mcap crate, which shares no code with ours: every residual under its own topic.
+    let bytes = std::fs::read(&path).unwrap();
+    let mut found = std::collections::BTreeMap::<String, u64>::new();
+    for message in mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap) {
+        *found.entry(message.channel.topic.clone()).or_default() += 1;
+        if let Some(expected) = match message.channel.topic.as_str() {
+            "/before/residual" => Some(2.0),
+            "/after/residual" => Some(1.0),
+            _ => None,
+        } {
+            let last: [u8; 8] = message.data[message.data.len() - 8..].try_into().unwrap();
+            assert_eq!(f64::from_le_bytes(last), expected);
+        }
+    }
+    assert_eq!((found["/before/residual"], found["/after/residual"]), (100, 99));
+    // What is read back as a recording is the robot's, not a branch's.
+    assert_eq!(read_all(&path, &robot).unwrap().len(), 100);
 }

@@ -87,6 +87,17 @@ impl Topic {
         Ok(Self { channel: declare(writer, topic, &schema::PAYLOAD)?, template })
     }
 
+    /// A `lacuna_msgs/ResidualWatch` topic; slots in the order of its lists after the names.
+    ///
+    /// # Errors
+    /// [`WriteError`] if writing failed.
+    pub fn residual_watch(writer: &mut Writer, topic: &str, joints: &[String]) -> Result<Self, WriteError> {
+        let n = joints.len();
+        let lists = Builder::stamped().strings(joints).numbers(n).numbers(n).numbers(n).octets(n).octets(n).numbers(n);
+        let template = lists.octets(n).numbers(n).numbers(n).template();
+        Ok(Self { channel: declare(writer, topic, &schema::RESIDUAL_WATCH)?, template })
+    }
+
     /// The channel.
     pub fn channel(&self) -> ChannelId {
         self.channel

@@ -126,10 +126,11 @@ impl Process {
         // Before all else that takes time: a restart beside busy processors must be quick as well.
         crate::realtime::apply(&node)?;
         let robot = lacuna_recording::load_robot(&graph.robot)?;
-        let (model, model_text) = if graph.model.is_empty() {
+        let model_path = graph.model_of(&node);
+        let (model, model_text) = if model_path.is_empty() {
             (None, None)
         } else {
-            let (model, text) = lacuna_recording::load_model(&graph.model, &robot.file)?;
+            let (model, text) = lacuna_recording::load_model(model_path, &robot.file)?;
             (Some(model), Some(text))
         };
         let stop = Stop::default();

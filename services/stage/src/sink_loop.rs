@@ -8,8 +8,8 @@ use crate::latency::{EdgeMeter, LatencyMeter};
 use crate::process::{Failure, Process, Pulse, main_with};
 use lacuna_interfaces::graph::{GraphFile, Mode};
 use lacuna_interfaces::{
-    BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, ModelFile, PayloadEstimate, RobotFile, TorqueModel,
-    Wire,
+    BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, ModelFile, PayloadEstimate, ResidualWatch,
+    RobotFile, TorqueModel, Wire,
 };
 use serde::de::DeserializeOwned;
 use std::process::ExitCode;
@@ -75,7 +75,7 @@ macro_rules! messages {
     };
 }
 
-messages!(JointMeasured, JointSmoothed, TorqueModel, FrictionTorque, PayloadEstimate);
+messages!(JointMeasured, JointSmoothed, TorqueModel, FrictionTorque, PayloadEstimate, ResidualWatch);
 
 /// What a sink may know when it is made.
 #[derive(Debug, Clone, Copy)]
@@ -90,6 +90,8 @@ pub struct SinkContext<'a> {
     pub model: Option<&'a ModelFile>,
     /// Its text.
     pub model_text: Option<&'a str>,
+    /// Text of the model file of every namespace that has its own.
+    pub branch_models: &'a [(String, String)],
     /// The resolved graph.
     pub graph: &'a GraphFile,
     /// Topics it reads, in the graph's order, each with the name of its message.
@@ -138,12 +140,19 @@ fn body<S: Sink>(process: &Process) -> Result<StageReport, Failure> {
     let mut inputs = open_inputs(&domain, process)?;
     let topics: Vec<(String, &'static str)> =
         inputs.iter().flatten().map(|i| (i.counts().0.to_owned(), i.message())).collect();
+    let branch_models = process
+        .graph
+        .branch_models()
+        .into_iter()
+        .map(|(space, path)| Ok((space.to_owned(), lacuna_recording::load_model(path, &process.robot.file)?.1)))
+        .collect::<Result<Vec<_>, BadInput>>()?;
     let context = SinkContext {
         robot: &process.robot.file,
         robot_text: &process.robot.toml,
         urdf: process.robot.urdf.as_deref(),
         model: process.model.as_ref(),
         model_text: process.model_text.as_deref(),
+        branch_models: &branch_models,
         graph: &process.graph,
         topics: &topics,
         restarts: process.restarts,

@@ -3,15 +3,17 @@
 #![allow(dead_code, reason = "each test file uses a part of this")]
 
 use lacuna_interfaces::{
-    FrictionTorque, Header, JointMeasured, JointSmoothed, Joints, PayloadEstimate, RobotFile, TorqueModel, flag,
+    FrictionTorque, Header, JointMeasured, JointSmoothed, Joints, PayloadEstimate, ResidualWatch, RobotFile,
+    TorqueModel, flag, region,
 };
 use lacuna_recorder::{Attachment, Config, Recorder, Run, Stream, WriteError};
 use std::path::Path;
 
-pub const TOPICS: [&str; 11] = [
+pub const TOPICS: [&str; 12] = [
     "/friction",
     "/measured",
     "/measured/detail",
+    "/monitor",
     "/payload",
     "/residual",
     "/residual_payload",
@@ -43,6 +45,7 @@ pub fn run<'a>(robot: &'a RobotFile, streams: &'a [Stream]) -> Run<'a> {
     Run {
         robot,
         streams,
+        branches: &[],
         live: false,
         attachments: vec![text("robot.toml", "kind = \"delta\""), text("graph.toml", "")],
         facts: [("source".to_owned(), "motion.csv".to_owned())].into(),
@@ -74,7 +77,7 @@ pub fn stamp(k: u64) -> i64 {
 pub fn record(recorder: &mut Recorder, k: u64) -> Result<(), WriteError> {
     let header = header(k);
     let nan = [f64::NAN; 8];
-    recorder.measured(&JointMeasured {
+    recorder.lane(0)?.measured(&JointMeasured {
         header,
         q_rad: list(0, k),
         tau_nm: list(1, k),
@@ -82,7 +85,7 @@ pub fn record(recorder: &mut Recorder, k: u64) -> Result<(), WriteError> {
         link_q_rad: nan,
         link_tau_nm: nan,
     })?;
-    recorder.smoothed(&JointSmoothed {
+    recorder.lane(0)?.smoothed(&JointSmoothed {
         header,
         q_rad: list(3, k),
         qd_rad_s: list(4, k),
@@ -92,19 +95,35 @@ pub fn record(recorder: &mut Recorder, k: u64) -> Result<(), WriteError> {
         sd_qdd_rad_s2: list(8, k),
         ..JointSmoothed::default()
     })?;
-    recorder.torque(&TorqueModel {
+    recorder.lane(0)?.torque(&TorqueModel {
         header,
         tau_nominal_nm: list(9, k),
         tau_rigid_nm: list(10, k),
         ..TorqueModel::default()
     })?;
-    recorder.friction(&FrictionTorque { header, tau_friction_nm: list(11, k), ..FrictionTorque::default() })?;
-    recorder.payload(&PayloadEstimate {
+    recorder.lane(0)?.friction(&FrictionTorque {
+        header,
+        tau_friction_nm: list(11, k),
+        ..FrictionTorque::default()
+    })?;
+    recorder.lane(0)?.payload(&PayloadEstimate {
         header,
         residual_nm: list(12, k),
         residual_payload_nm: list(13, k),
         mass_kg: number(14, k, 1),
         sd_mass_kg: number(15, k, 1),
         ..PayloadEstimate::default()
+    })?;
+    recorder.lane(0)?.watch(&ResidualWatch {
+        header,
+        residual_nm: list(16, k),
+        sd_nm: list(17, k),
+        score: list(18, k),
+        since_ns: [stamp(k), stamp(k / 2), 0, 0, 0, 0, 0, 0],
+        region_low: list(19, k),
+        region_high: list(20, k),
+        region_variable: [region::VELOCITY, region::LOAD, region::TIME, 0, 0, 0, 0, 0],
+        alarm: 0b001,
+        watched: 0b101,
     })
 }

@@ -80,6 +80,15 @@ impl Builder {
         self
     }
 
+    /// `uint8[]` or `bool[]` of `n` values to be filled in.
+    #[must_use]
+    pub fn octets(mut self, n: usize) -> Self {
+        self.u32(n as u32);
+        self.slots.push(self.bytes.len());
+        self.bytes.resize(self.bytes.len() + n, 0);
+        self
+    }
+
     /// The finished layout.
     pub fn template(self) -> Template {
         Template { bytes: self.bytes, slots: self.slots }

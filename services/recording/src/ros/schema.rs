@@ -35,6 +35,12 @@ pub const MOTION_DETAIL: Schema = Schema {
 /// Payload mass.
 pub const PAYLOAD: Schema =
     Schema { name: "lacuna_msgs/msg/Payload", text: include_str!("../../msg/lacuna_msgs/Payload.msg"), needs: STAMPED };
+/// Where and when the residual leaves what the model and its noise allow.
+pub const RESIDUAL_WATCH: Schema = Schema {
+    name: "lacuna_msgs/msg/ResidualWatch",
+    text: include_str!("../../msg/lacuna_msgs/ResidualWatch.msg"),
+    needs: STAMPED,
+};
 /// Sequence, flags and latencies.
 pub const STATUS: Schema =
     Schema { name: "lacuna_msgs/msg/Status", text: include_str!("../../msg/lacuna_msgs/Status.msg"), needs: STAMPED };

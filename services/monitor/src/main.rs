@@ -1,0 +1,7 @@
+//! The monitor process.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    lacuna_stage::run_stage::<lacuna_monitor::Monitor>()
+}

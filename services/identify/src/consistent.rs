@@ -28,10 +28,13 @@ const MU_END: f64 = 0.1;
 const HOLD: f64 = 100.0;
 /// Factor by which μ falls from step to step.
 const MU_STEP: f64 = 0.1;
+/// Newton steps that settle what the data do not determine.
+const SETTLE_STEPS: usize = 200;
 /// Newton steps per μ.
 const NEWTON_STEPS: usize = 60;
 
 /// A symmetric matrix that must stay positive definite: constant-free and linear in the variables.
+#[derive(Clone)]
 struct Cone {
     size: usize,
     /// (variable, matrix): P = Σ variable · matrix.
@@ -101,6 +104,7 @@ pub fn fit(body: &dyn RigidBody, structure: &Structure, solution: &Solution) -> 
         }
         mu = (mu * MU_STEP).max(MU_END);
     }
+    problem.settle(&mut z)?;
     let dimensions: usize = problem.cones.iter().map(|cone| cone.size).sum();
     let beta = z.rows(0, structure.base.len()).into_owned();
     Ok(Consistent {
@@ -114,6 +118,7 @@ pub fn fit(body: &dyn RigidBody, structure: &Structure, solution: &Solution) -> 
 
 /// π = T z, with z the base parameters β followed by every other parameter: in z the data touch β alone, exactly, and no
 /// digit of the rest is lost to it.
+#[derive(Clone)]
 struct Coordinates {
     t: DMatrix<f64>,
     /// Column of every z behind the base.
@@ -152,6 +157,7 @@ impl Coordinates {
     }
 }
 
+#[derive(Clone)]
 struct Problem {
     a: DMatrix<f64>,
     c: DVector<f64>,
@@ -240,6 +246,39 @@ impl Problem {
     }
 }
 
+impl Problem {
+    /// Moves what the data do not determine to the links closest to P0, with the base parameters as they are. Beside the
+    /// data's curvature a divergence of this size is below rounding; alone it has all digits.
+    fn settle(&self, z: &mut DVector<f64>) -> Result<(), BadInput> {
+        let base = self.c.len();
+        let free = z.len() - base;
+        if free == 0 {
+            return Ok(());
+        }
+        let alone = Self { a: DMatrix::zeros(base, base), c: DVector::zeros(base), ..self.clone() };
+        for _ in 0..SETTLE_STEPS {
+            let (gradient, hessian) =
+                alone.derivatives(1.0, z).ok_or_else(|| failed("a pseudo-inertia became singular"))?;
+            let (g, h) =
+                (gradient.rows(base, free).into_owned(), hessian.view((base, base), (free, free)).into_owned());
+            let step = scaled_solve(&h, &g).ok_or_else(|| failed("the Newton system is singular"))?;
+            let decrement = g.dot(&step);
+            let Some(now) = alone.objective(1.0, z).filter(|_| decrement > 1e-12) else { return Ok(()) };
+            let try_length = |length: f64| {
+                let mut next = z.clone();
+                let mut rest = next.rows_mut(base, free);
+                rest -= &step * length;
+                let better = alone.objective(1.0, &next)? <= now - 1e-4 * length * decrement;
+                better.then_some(next)
+            };
+            // At rounding there is nothing left to gain.
+            let Some(next) = (0..40).find_map(|k| try_length(0.5f64.powi(k))) else { return Ok(()) };
+            *z = next;
+        }
+        Ok(())
+    }
+}
+
 /// Cholesky solution with the matrix scaled to a unit diagonal.
 fn scaled_solve(matrix: &DMatrix<f64>, rhs: &DVector<f64>) -> Option<DVector<f64>> {
     let scale = matrix.diagonal().map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 1.0 });
@@ -265,6 +304,8 @@ const UNKNOWN_RADIUS: f64 = 0.1;
 const UNKNOWN_LEVER: f64 = 0.5;
 /// A rotor inertia or friction coefficient that nothing is known of.
 const UNKNOWN_SCALAR: f64 = 0.1;
+/// The same of one that no torque tells from another parameter.
+const UNKNOWN_MERGED: f64 = 1e-4;
 
 fn cones(body: &dyn RigidBody, structure: &Structure, solution: &Solution) -> Vec<Cone> {
     let moments =
@@ -290,7 +331,10 @@ fn cones(body: &dyn RigidBody, structure: &Structure, solution: &Solution) -> Ve
             Term::Offset(_) => false,
         };
         if positive {
-            let prior = if column.nominal > 0.0 { column.nominal } else { UNKNOWN_SCALAR };
+            // A rotor that merges with its link and that the robot file does not know belongs to the link.
+            let merges = !structure.base.iter().any(|b| b.column == v);
+            let unknown = if merges { UNKNOWN_MERGED } else { UNKNOWN_SCALAR };
+            let prior = if column.nominal > 0.0 { column.nominal } else { unknown };
             out.push(Cone {
                 size: 1,
                 parts: vec![(v, DMatrix::from_element(1, 1, 1.0))],

@@ -10,6 +10,8 @@ mod graph;
 mod identify;
 mod identify_report;
 mod info;
+mod payload;
+mod payload_report;
 mod progress;
 mod recorded;
 mod recover;
@@ -48,6 +50,8 @@ enum Command {
     Logs(runs::LogsArgs),
     /// Identify a robot's model from recordings, with its error on data it has not seen.
     Identify(identify::IdentifyArgs),
+    /// Estimate the payload in recordings under an identified model: picked and placed when, how heavy, how quickly known.
+    Payload(payload::PayloadArgs),
     /// Find the physics that the robot's model leaves out: where, what, how large, how sure.
     Diagnose(diagnose::DiagnoseArgs),
     /// Simulate closed-loop recordings of a robot; the truth goes to a file of its own.
@@ -72,6 +76,7 @@ fn main() -> ExitCode {
         Command::Top(args) => top::top(&args),
         Command::Logs(args) => runs::logs(&args),
         Command::Identify(args) => identify::identify(&args),
+        Command::Payload(args) => payload::payload(&args),
         Command::Diagnose(args) => diagnose::diagnose(&args),
         Command::Simulate(args) => simulate::simulate(&args),
         Command::Excite(args) => excite::excite(&args),

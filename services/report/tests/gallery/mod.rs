@@ -126,7 +126,13 @@ fn payload() -> PayloadTrace {
         state += (m - state) * 0.03;
         state + 0.02 * noise.next()
     };
-    PayloadTrace { source: "measured torque".into(), estimate_kg: true_kg.iter().map(follow).collect(), t_s, true_kg }
+    PayloadTrace {
+        source: "measured torque".into(),
+        estimate_kg: true_kg.iter().map(follow).collect(),
+        t_s,
+        true_kg,
+        known: true,
+    }
 }
 
 /// An identification report with every part filled.

@@ -21,7 +21,7 @@ fn estimate(path: &Path, robot: &RobotFile, model: &ModelFile, known: Vec<Known>
 fn say(what: &str, run: &PayloadRun) {
     for i in &run.measured {
         eprintln!(
-            "{what} {}: {:.3} to {:.3?} s, {:.3?} kg of {:.3?}, settled after {:.3?}, zero after {:.3?}",
+            "{what} {}: {:.3?} to {:.3?} s, {:.3?} kg of {:.3?}, settled after {:.3?}, zero after {:.3?}",
             run.file, i.picked_s, i.placed_s, i.mass_kg, i.known_kg, i.settled_after_s, i.zero_after_s
         );
     }
@@ -58,14 +58,14 @@ fn an_independent_simulators_payload_is_known_within_three_tenths_of_a_second() 
             worst_place = worst_place.max(i.zero_after_s.expect("is back to zero after the place"));
             count += 1;
         }
-        // Without the times: as many, of the same mass, not long after.
+        // Without the times: as many, of the same mass, at nearly the same time.
         let found = estimate(&path, &robot, &model, Vec::new());
         say("  found", &found);
         assert_eq!(found.measured.len(), known.len(), "{name}");
         for (i, k) in found.measured.iter().zip(&known) {
             assert!((i.mass_kg.unwrap() / k.mass_kg.unwrap() - 1.0).abs() < 0.03, "{i:?}");
-            assert!((0.0..0.3).contains(&(i.picked_s - k.from_s)), "{i:?} {k:?}");
-            assert!((0.0..0.3).contains(&(i.placed_s.unwrap() - k.to_s)), "{i:?} {k:?}");
+            assert!((i.picked_s.unwrap() - k.from_s).abs() < 0.05, "{i:?} {k:?}");
+            assert!((i.placed_s.unwrap() - k.to_s).abs() < 0.05, "{i:?} {k:?}");
         }
     }
     eprintln!("09113: slowest to settle {worst_pick:.3} s, slowest back to zero {worst_place:.3} s");

@@ -170,11 +170,11 @@ fn interval(i: &Interval) -> String {
         _ => "not supported".to_owned(),
     };
     let error = i.mass_kg.zip(i.known_kg).map_or_else(String::new, |(m, k)| format!("{:+.1} %", 100.0 * (m / k - 1.0)));
-    let placed = i.placed_s.map_or_else(|| "end".to_owned(), |t| format!("{t:.3} s"));
+    let at = |t: Option<f64>, never: &str| t.map_or_else(|| never.to_owned(), |t| format!("{t:.3} s"));
+    let (picked, placed) = (at(i.picked_s, "before"), at(i.placed_s, "end"));
     format!(
-        "  {:>7.3} s {placed:>9} {mass:>18} {error:>9}  {:>13} {:>11}\n",
-        i.picked_s,
-        seconds(i.settled_after_s),
+        "  {picked:>9} {placed:>9} {mass:>18} {error:>9}  {:>13} {:>11}\n",
+        if i.picked_s.is_some() { seconds(i.settled_after_s) } else { String::new() },
         if i.placed_s.is_some() { seconds(i.zero_after_s) } else { String::new() },
     )
 }

@@ -33,8 +33,8 @@ pub struct PayloadRow {
     pub recording: String,
     /// What it was estimated from: "measured torque".
     pub source: String,
-    /// Picked at \[s\].
-    pub picked_s: f64,
+    /// Picked at \[s\]; `None`: before the motion first supports an estimate.
+    pub picked_s: Option<f64>,
     /// Placed at \[s\]; `None`: carried to the end.
     pub placed_s: Option<f64>,
     /// Estimated mass \[kg\].
@@ -111,7 +111,7 @@ fn figures(rows: &[PayloadRow]) -> Vec<Figure> {
     };
     let seconds = |v: f64| format!("{} s", fixed(v, 3));
     if let Some(t) = worst(|r| r.settled_after_s) {
-        let missing = rows().filter(|r| r.settled_after_s.is_none()).count();
+        let missing = rows().filter(|r| r.picked_s.is_some() && r.settled_after_s.is_none()).count();
         let note = if missing > 0 {
             format!("{missing} did not settle before the place")
         } else {
@@ -167,7 +167,7 @@ fn table(rows: &[PayloadRow]) -> Table {
         let mut cells = vec![
             Cell::Head(row.recording.clone()),
             Cell::text(&row.source),
-            digits(Some(row.picked_s)),
+            digits(row.picked_s),
             digits(row.placed_s),
             Cell::Strong(fixed(row.mass_kg.unwrap_or(f64::NAN), 3)),
             digits(row.sd_kg),

@@ -24,6 +24,8 @@ pub(super) struct Series {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Carrying {
     pub(super) from_s: f64,
+    /// Whether that is a pick; else it was carried before the motion first supports an estimate.
+    pub(super) picked: bool,
     /// `None`: until the end of the recording.
     pub(super) to_s: Option<f64>,
     /// Known mass, else the estimate's.
@@ -35,8 +37,10 @@ pub(super) struct Carrying {
 /// A payload that was carried for a while.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Interval {
-    /// Picked at, in the recording's own time [s]: as known, else where the residuals change from one mass to the other.
-    pub picked_s: f64,
+    /// Picked at, in the recording's own time [s]: as known, else where the residuals change from one mass to the other;
+    /// absent if that was before the motion first supports an estimate.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub picked_s: Option<f64>,
     /// Placed at [s]; absent if it is carried to the end.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub placed_s: Option<f64>,
@@ -90,23 +94,32 @@ impl Series {
     /// When the mass changed from `before` to `after`, which the estimator saw at `seen`, no earlier than `from`: where the
     /// squared residuals of the one mass up to there and of the other from there on are smallest together.
     ///
+    /// Where nothing moves in between, the middle of it.
+    ///
     /// A sample's e²(before) − e²(after) is 2 (m₁ − m₀) Σ φΔT − (m₁² − m₀²) Σ φ²: negative until the change, then positive.
     fn changed(&self, before: f64, after: f64, from: f64, seen: f64) -> f64 {
         let range = self.t_s.partition_point(|t| *t < from)..self.t_s.partition_point(|t| *t <= seen);
-        let (mut sum, mut least, mut at) = (0.0, 0.0, from);
-        for k in range {
+        let (mut sum, mut least, mut last, mut next) = (0.0, 0.0, from, None);
+        for k in range.filter(|&k| self.says[k][1] > 0.0) {
             let [product, square] = self.says[k];
             sum += 2.0 * (after - before) * product - (after * after - before * before) * square;
             if sum < least {
-                (least, at) = (sum, self.t_s.get(k + 1).copied().unwrap_or(seen));
+                (least, last, next) = (sum, self.t_s[k], None);
+            } else {
+                next = next.or(Some(self.t_s[k]));
             }
         }
-        at.min(seen)
+        // A gripper mostly closes on a robot at rest, which says nothing: then it is the middle of the rest.
+        0.5 * (last + next.unwrap_or(seen))
     }
 }
 
 /// The estimator sees a change this much later at most [s].
 const SEEN_AFTER_S: f64 = 0.5;
+/// An estimate that stays on the other side of what is noticeable for this long has changed [s].
+const HOLD_S: f64 = 0.03;
+/// Nothing is carried for less than this [s].
+const LEAST_S: f64 = 0.1;
 
 /// How long after the first of `from` the estimates (time, mass) stay within `tolerance` of `mass` for good, and their mean
 /// from there on; `None` if they never do.
@@ -117,13 +130,35 @@ pub fn settling(estimates: &[(f64, f64)], from: f64, mass: f64, tolerance: f64) 
     Some((first.0 - from, settled.iter().map(|s| s.1).sum::<f64>() / settled.len() as f64))
 }
 
-/// Payloads as the estimator's own steps show them: stretches between steps whose estimate is a mass that is noticeable.
+/// Where a stretch with another mass may begin: at the estimator's own steps, and where the estimate comes to be noticeable
+/// or ceases to be without one (at a recording's start it follows a pick without calling it a step).
+fn edges(series: &Series, noticeable_kg: f64) -> Vec<f64> {
+    let mut edges: Vec<f64> = series.t_s.first().copied().into_iter().collect();
+    let (mut state, mut since) = (None, None);
+    for (k, &t) in series.t_s.iter().enumerate() {
+        if series.step[k] {
+            edges.push(t);
+            (state, since) = (None, None);
+        }
+        if !series.supported[k] {
+            continue;
+        }
+        let carries = series.mass_kg[k] > noticeable_kg;
+        if *state.get_or_insert(carries) == carries {
+            since = None;
+        } else if t - *since.get_or_insert(t) >= HOLD_S {
+            edges.extend(since.take());
+            state = Some(carries);
+        }
+    }
+    edges.dedup();
+    edges
+}
+
+/// Payloads as the estimate shows them: stretches between its edges whose mass is noticeable.
 pub(super) fn find(series: &Series, noticeable_kg: f64) -> Vec<Carrying> {
     let end = series.t_s.last().map_or(0.0, |t| t + 1.0);
-    let start = series.t_s.first().copied().unwrap_or(0.0);
-    let steps = series.step.iter().zip(&series.t_s).filter(|(s, _)| **s).map(|(_, t)| *t);
-    let mut edges: Vec<f64> = std::iter::once(start).chain(steps).collect();
-    edges.dedup();
+    let edges = edges(series, noticeable_kg);
     let mut out: Vec<Carrying> = Vec::new();
     // Begin and mass of the stretch before the present one.
     let mut last: Option<(f64, f64)> = None;
@@ -141,12 +176,20 @@ pub(super) fn find(series: &Series, noticeable_kg: f64) -> Vec<Carrying> {
                 out.iter_mut().next_back().into_iter().for_each(|c| c.to_s = Some(before));
             }
             if carries {
-                let mass_kg = level;
-                out.push(Carrying { from_s: before, to_s: None, mass_kg, mass_known: false, times_known: false });
+                let (picked, mass_kg) = (last.is_some(), level);
+                out.push(Carrying {
+                    from_s: before,
+                    picked,
+                    to_s: None,
+                    mass_kg,
+                    mass_known: false,
+                    times_known: false,
+                });
             }
         }
         last = Some((seen, level));
     }
+    out.retain(|c| c.to_s.unwrap_or(end) - c.from_s >= LEAST_S);
     // The mass over all of an interval, not that of its first stretch.
     for c in &mut out {
         c.mass_kg = series.level(c.from_s, c.to_s.unwrap_or(end)).unwrap_or(c.mass_kg);
@@ -160,6 +203,7 @@ pub(super) fn known(series: &Series, known: &[Known]) -> Vec<Carrying> {
         .iter()
         .map(|k| Carrying {
             from_s: k.from_s,
+            picked: true,
             to_s: Some(k.to_s),
             mass_kg: k.mass_kg.or_else(|| series.level(k.from_s, k.to_s)).unwrap_or(0.0),
             mass_known: k.mass_kg.is_some(),
@@ -182,13 +226,13 @@ pub(super) fn judge(series: &Series, carrying: &[Carrying]) -> Vec<Interval> {
         let zero = c.to_s.and_then(|to| settling(&series.between(to, next), to, 0.0, tolerance));
         let last = series.t_s.partition_point(|t| *t < to).checked_sub(1);
         Interval {
-            picked_s: c.from_s,
+            picked_s: c.picked.then_some(c.from_s),
             placed_s: c.to_s,
             times_known: c.times_known,
             mass_kg: settled.map(|s| s.1).or_else(|| series.level(c.from_s, to)),
             sd_kg: last.filter(|_| !inside.is_empty()).and_then(|k| series.sd_kg.get(k)).copied(),
             known_kg: c.mass_known.then_some(c.mass_kg),
-            settled_after_s: settled.map(|s| s.0),
+            settled_after_s: settled.filter(|_| c.picked).map(|s| s.0),
             zero_after_s: zero.map(|z| z.0),
         }
     };
@@ -226,13 +270,29 @@ mod tests {
         let intervals = judge(&s, &found);
         assert_eq!(intervals.len(), 2, "{intervals:?}");
         let first = &intervals[0];
-        // Not when they were seen: when the torque changed.
-        assert_eq!((first.picked_s, first.placed_s), (0.3, Some(0.8)));
+        // Not when they were seen: when the torque changed, between two samples.
+        assert!(
+            (first.picked_s.unwrap() - 0.2995).abs() < 1e-9 && (first.placed_s.unwrap() - 0.7995).abs() < 1e-9,
+            "{first:?}"
+        );
         assert!((first.mass_kg.unwrap() - 3.82).abs() < 0.01 && !first.times_known);
         // In at 20 ms; the second step of 3.8 to 3.82 wanders out again until 20 ms after it.
-        assert!((first.settled_after_s.unwrap() - 0.42).abs() < 1e-9);
-        assert!((first.zero_after_s.unwrap() - 0.02).abs() < 1e-9, "{first:?}");
+        assert!((first.settled_after_s.unwrap() - 0.4205).abs() < 1e-9);
+        assert!((first.zero_after_s.unwrap() - 0.0205).abs() < 1e-9, "{first:?}");
         assert_eq!((intervals[1].placed_s, intervals[1].zero_after_s), (None, None));
+    }
+
+    #[test]
+    fn a_pick_at_rest_is_in_the_middle_of_the_rest_and_needs_no_step() {
+        let mut s = series(&[(0.0, 300), (2.0, 400)]);
+        for k in 250..350 {
+            (s.says[k], s.supported[k]) = ([0.0; 2], false);
+        }
+        s.step.fill(false);
+        let found = find(&s, 0.2);
+        assert_eq!(found.len(), 1);
+        // From the last sample that moved, 0.249 s, to the next, 0.350 s.
+        assert!((found[0].from_s - 0.2995).abs() < 1e-9, "{found:?}");
     }
 
     #[test]
@@ -251,6 +311,10 @@ mod tests {
     fn nothing_carried_is_nothing_found() {
         assert!(find(&series(&[(0.05, 500), (-0.05, 500)]), 0.2).is_empty());
         assert!(find(&Series::default(), 0.0).is_empty());
+        // Carried from the start: no pick to be found, nor to settle after.
+        let s = series(&[(2.0, 400), (0.0, 300)]);
+        let always = judge(&s, &find(&s, 0.2));
+        assert_eq!((always.len(), always[0].picked_s, always[0].settled_after_s), (1, None, None));
         assert!(judge(&Series::default(), &known(&Series::default(), &[])).is_empty());
         assert_eq!(settling(&[], 0.0, 1.0, 0.1), None);
     }

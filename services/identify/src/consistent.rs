@@ -311,7 +311,9 @@ fn cones(body: &dyn RigidBody, structure: &Structure, solution: &Solution) -> Ve
     let moments =
         structure.base.iter().enumerate().filter(|(_, b)| structure.columns[b.column].unit.starts_with("kg m"));
     let first = moments.filter(|(_, b)| !structure.columns[b.column].unit.contains("^2"));
-    let mass = first.map(|(i, _)| solution.beta[i].abs() / UNKNOWN_LEVER).fold(1.0, f64::max);
+    // Only of moments that the data tell from zero: noise would make a link of tons.
+    let told = first.filter(|(i, _)| solution.excited.contains(i) && solution.beta[*i].abs() > solution.half_width(*i));
+    let mass = told.map(|(i, _)| solution.beta[i].abs() / UNKNOWN_LEVER).fold(1.0, f64::max);
     let find = |symbol: &str| structure.columns.iter().position(|c| c.symbol == symbol);
     let mut out = Vec::new();
     if body.as_serial().is_some() {
@@ -374,8 +376,15 @@ fn pseudo_inertia(structure: &Structure, place: &[usize], mass: f64) -> Cone {
     let parts: Vec<(usize, DMatrix<f64>)> = place.iter().copied().zip(shapes).collect();
     let assemble =
         |values: &[f64]| parts.iter().zip(values).fold(DMatrix::zeros(4, 4), |p, ((_, m), v): (_, &f64)| p + m * *v);
-    let turning = 2.0 * mass * UNKNOWN_RADIUS * UNKNOWN_RADIUS;
-    let unknown = [turning, 0.0, 0.0, turning, 0.0, turning, 0.0, 0.0, 0.0, mass];
+    // A link of which the robot file gives mass and centre, but moments that no body has, keeps the former.
+    let (mass, [x, y, z]) = if nominal[9] > 0.0 {
+        (nominal[9], [nominal[6] / nominal[9], nominal[7] / nominal[9], nominal[8] / nominal[9]])
+    } else {
+        (mass, [0.0; 3])
+    };
+    let turning = 2.0 * UNKNOWN_RADIUS * UNKNOWN_RADIUS;
+    let moments = [turning + y * y + z * z, -x * y, -x * z, turning + x * x + z * z, -y * z, turning + x * x + y * y];
+    let unknown: Vec<f64> = moments.into_iter().chain([x, y, z, 1.0]).map(|v| mass * v).collect();
     // A nominal link with no extent (a point mass, a thin rod) is on the cone's border: it gets a centimetre.
     let mut values = nominal;
     if values[9] > 0.0 {
@@ -385,7 +394,7 @@ fn pseudo_inertia(structure: &Structure, place: &[usize], mass: f64) -> Cone {
         }
     }
     let usable = assemble(&values).cholesky().is_some();
-    let start_values = if usable { values } else { unknown.to_vec() };
+    let start_values = if usable { values } else { unknown };
     let p0 = assemble(&start_values);
     Cone {
         size: 4,

@@ -172,7 +172,13 @@ fn comment(names: &[String], links: &[LinkValues], remarks: &[String]) -> String
 
 /// Text as a comment may hold it: without two hyphens in a row.
 fn plain(text: &str) -> String {
-    let mut out = text.replace("--", "- -");
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        if c == '-' && out.ends_with('-') {
+            out.push(' ');
+        }
+        out.push(c);
+    }
     if out.ends_with('-') {
         out.push(' ');
     }

@@ -25,6 +25,14 @@ if [ ! -f "$venv/ready" ]; then
         echo "note: no Python environment; tests with independent readers will be skipped" >&2
     fi
 fi
+# Pinocchio, a witness for dynamics, is large and not built for every machine: the tests run without it, too.
+if [ -f "$venv/ready" ] && [ ! -f "$venv/ready-pin" ]; then
+    if "$venv/bin/pip" install --quiet --disable-pip-version-check "pin==4.1.0"; then
+        touch "$venv/ready-pin"
+    else
+        echo "note: no Pinocchio; the tests that hold torques against it will be skipped" >&2
+    fi
+fi
 [ -f "$venv/ready" ] && export LACUNA_TEST_PYTHON=$venv/bin/python
 
 cargo build --release --workspace --bins || exit 1

@@ -7,6 +7,7 @@ use crate::condition::Prepared;
 use crate::curves::report;
 use crate::fit::draft::Data;
 use crate::fit::{Solution, Why};
+use crate::forward::Forward;
 use crate::hold_out::{Fitted, Held, Split, time_ranges};
 use crate::options::{Method, Options};
 use crate::outcome::{
@@ -26,6 +27,7 @@ pub(crate) struct Account<'a> {
     pub(crate) data: Data<'a>,
     pub(crate) split: &'a Split,
     pub(crate) held: &'a Held,
+    pub(crate) forward: Option<Forward>,
 }
 
 impl<'a> Account<'a> {
@@ -96,6 +98,7 @@ pub(crate) fn account(a: &Account<'_>) -> Result<Outcome, BadInput> {
         }
         .to_owned(),
         held_out,
+        forward: a.forward.clone(),
         parameters,
         not_excited,
         condition_numbers: Conditions {
@@ -117,6 +120,7 @@ pub(crate) fn account(a: &Account<'_>) -> Result<Outcome, BadInput> {
             table1_moving: a.held.table1_moving.clone(),
             ..r.clone()
         }),
+        payload: Vec::new(),
         repairs: stream.prepared.iter().flat_map(|p| p.repairs.clone()).collect(),
         warnings: warnings::all(&findings),
     };

@@ -29,10 +29,13 @@ const MU_END: f64 = 0.1;
 const HOLD: f64 = 100.0;
 /// Factor by which μ falls from step to step.
 const MU_STEP: f64 = 0.1;
+/// Newton steps that settle what the data do not determine.
+const SETTLE_STEPS: usize = 200;
 /// Newton steps per μ.
 const NEWTON_STEPS: usize = 60;
 
 /// A symmetric matrix that must stay positive definite: constant-free and linear in the variables.
+#[derive(Clone)]
 struct Cone {
     size: usize,
     /// (variable, matrix): P = Σ variable · matrix.
@@ -102,6 +105,7 @@ pub fn fit(body: &dyn RigidBody, structure: &Structure, solution: &Solution) -> 
         }
         mu = (mu * MU_STEP).max(MU_END);
     }
+    problem.settle(&mut z)?;
     let dimensions: usize = problem.cones.iter().map(|cone| cone.size).sum();
     let beta = z.rows(0, structure.base.len()).into_owned();
     Ok(Consistent {
@@ -115,6 +119,7 @@ pub fn fit(body: &dyn RigidBody, structure: &Structure, solution: &Solution) -> 
 
 /// π = T z, with z the base parameters β followed by every other parameter: in z the data touch β alone, exactly, and no
 /// digit of the rest is lost to it.
+#[derive(Clone)]
 struct Coordinates {
     t: DMatrix<f64>,
     /// Column of every z behind the base.
@@ -153,6 +158,7 @@ impl Coordinates {
     }
 }
 
+#[derive(Clone)]
 struct Problem {
     a: DMatrix<f64>,
     c: DVector<f64>,
@@ -241,6 +247,39 @@ impl Problem {
     }
 }
 
+impl Problem {
+    /// Moves what the data do not determine to the links closest to P0, with the base parameters as they are. Beside the
+    /// data's curvature a divergence of this size is below rounding; alone it has all digits.
+    fn settle(&self, z: &mut DVector<f64>) -> Result<(), BadInput> {
+        let base = self.c.len();
+        let free = z.len() - base;
+        if free == 0 {
+            return Ok(());
+        }
+        let alone = Self { a: DMatrix::zeros(base, base), c: DVector::zeros(base), ..self.clone() };
+        for _ in 0..SETTLE_STEPS {
+            let (gradient, hessian) =
+                alone.derivatives(1.0, z).ok_or_else(|| failed("a pseudo-inertia became singular"))?;
+            let (g, h) =
+                (gradient.rows(base, free).into_owned(), hessian.view((base, base), (free, free)).into_owned());
+            let step = scaled_solve(&h, &g).ok_or_else(|| failed("the Newton system is singular"))?;
+            let decrement = g.dot(&step);
+            let Some(now) = alone.objective(1.0, z).filter(|_| decrement > 1e-12) else { return Ok(()) };
+            let try_length = |length: f64| {
+                let mut next = z.clone();
+                let mut rest = next.rows_mut(base, free);
+                rest -= &step * length;
+                let better = alone.objective(1.0, &next)? <= now - 1e-4 * length * decrement;
+                better.then_some(next)
+            };
+            // At rounding there is nothing left to gain.
+            let Some(next) = (0..40).find_map(|k| try_length(0.5f64.powi(k))) else { return Ok(()) };
+            *z = next;
+        }
+        Ok(())
+    }
+}
+
 /// Cholesky solution with the matrix scaled to a unit diagonal.
 fn scaled_solve(matrix: &DMatrix<f64>, rhs: &DVector<f64>) -> Option<DVector<f64>> {
     let scale = matrix.diagonal().map(|d| if d > 0.0 { 1.0 / d.sqrt() } else { 1.0 });
@@ -266,12 +305,16 @@ const UNKNOWN_RADIUS: f64 = 0.1;
 const UNKNOWN_LEVER: f64 = 0.5;
 /// A rotor inertia or friction coefficient that nothing is known of.
 const UNKNOWN_SCALAR: f64 = 0.1;
+/// The same of one that no torque tells from another parameter.
+const UNKNOWN_MERGED: f64 = 1e-4;
 
 fn cones(body: &dyn RigidBody, structure: &Structure, solution: &Solution) -> Vec<Cone> {
     let moments =
         structure.base.iter().enumerate().filter(|(_, b)| structure.columns[b.column].unit.starts_with("kg m"));
     let first = moments.filter(|(_, b)| !structure.columns[b.column].unit.contains("^2"));
-    let mass = first.map(|(i, _)| solution.beta[i].abs() / UNKNOWN_LEVER).fold(1.0, f64::max);
+    // Only of moments that the data tell from zero: noise would make a link of tons.
+    let told = first.filter(|(i, _)| solution.excited.contains(i) && solution.beta[*i].abs() > solution.half_width(*i));
+    let mass = told.map(|(i, _)| solution.beta[i].abs() / UNKNOWN_LEVER).fold(1.0, f64::max);
     let find = |symbol: &str| structure.columns.iter().position(|c| c.symbol == symbol);
     let mut out = Vec::new();
     if body.as_serial().is_some() {
@@ -291,7 +334,10 @@ fn cones(body: &dyn RigidBody, structure: &Structure, solution: &Solution) -> Ve
             Term::Offset(_) => false,
         };
         if positive {
-            let prior = if column.nominal > 0.0 { column.nominal } else { UNKNOWN_SCALAR };
+            // A rotor that merges with its link and that the robot file does not know belongs to the link.
+            let merges = !structure.base.iter().any(|b| b.column == v);
+            let unknown = if merges { UNKNOWN_MERGED } else { UNKNOWN_SCALAR };
+            let prior = if column.nominal > 0.0 { column.nominal } else { unknown };
             out.push(Cone {
                 size: 1,
                 parts: vec![(v, DMatrix::from_element(1, 1, 1.0))],
@@ -331,8 +377,15 @@ fn pseudo_inertia(structure: &Structure, place: &[usize], mass: f64) -> Cone {
     let parts: Vec<(usize, DMatrix<f64>)> = place.iter().copied().zip(shapes).collect();
     let assemble =
         |values: &[f64]| parts.iter().zip(values).fold(DMatrix::zeros(4, 4), |p, ((_, m), v): (_, &f64)| p + m * *v);
-    let turning = 2.0 * mass * UNKNOWN_RADIUS * UNKNOWN_RADIUS;
-    let unknown = [turning, 0.0, 0.0, turning, 0.0, turning, 0.0, 0.0, 0.0, mass];
+    // A link of which the robot file gives mass and centre, but moments that no body has, keeps the former.
+    let (mass, [x, y, z]) = if nominal[9] > 0.0 {
+        (nominal[9], [nominal[6] / nominal[9], nominal[7] / nominal[9], nominal[8] / nominal[9]])
+    } else {
+        (mass, [0.0; 3])
+    };
+    let turning = 2.0 * UNKNOWN_RADIUS * UNKNOWN_RADIUS;
+    let moments = [turning + y * y + z * z, -x * y, -x * z, turning + x * x + z * z, -y * z, turning + x * x + y * y];
+    let unknown: Vec<f64> = moments.into_iter().chain([x, y, z, 1.0]).map(|v| mass * v).collect();
     // A nominal link with no extent (a point mass, a thin rod) is on the cone's border: it gets a centimetre.
     let mut values = nominal;
     if values[9] > 0.0 {
@@ -342,7 +395,7 @@ fn pseudo_inertia(structure: &Structure, place: &[usize], mass: f64) -> Cone {
         }
     }
     let usable = assemble(&values).cholesky().is_some();
-    let start_values = if usable { values } else { unknown.to_vec() };
+    let start_values = if usable { values } else { unknown };
     let p0 = assemble(&start_values);
     Cone {
         size: 4,

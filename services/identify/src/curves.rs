@@ -1,10 +1,11 @@
 //! Curves and bins of the report, from the rows that were kept for it.
 
 use crate::fit::draft::Data;
-use crate::hold_out::Held;
+use crate::hold_out::{Held, nominal_beta};
 use crate::outcome::{JointCurves, ReportData};
 use crate::stream::Class;
 use crate::sums::Shown;
+use nalgebra::DVector;
 
 /// Most points of a curve.
 const CURVE_POINTS: usize = 4000;
@@ -17,6 +18,7 @@ const BIN_ROWS: f64 = 5.0;
 struct Point {
     measured: f64,
     model: f64,
+    nominal: f64,
     qd: f64,
     class: Class,
 }
@@ -28,8 +30,9 @@ fn point(data: Data<'_>, held: &Held, shown: &Shown, j: usize) -> Point {
     let (row, class, qd) = &shown.joints[j];
     let sum = |mixture: Vec<(usize, f64)>| mixture.iter().map(|&(i, f)| f * f64::from(row[i])).sum::<f64>();
     let measured = sum(chosen.y(layout));
-    let residual = sum(chosen.residual(layout, fitted.beta().as_slice()));
-    Point { measured, model: measured - residual, qd: f64::from(*qd), class: *class }
+    let model = |beta: &DVector<f64>| measured - sum(chosen.residual(layout, beta.as_slice()));
+    let (nominal, model) = (model(&nominal_beta(data.stream.structure)), model(fitted.beta()));
+    Point { measured, model, nominal, qd: f64::from(*qd), class: *class }
 }
 
 pub(crate) fn report(data: Data<'_>, held: &Held) -> ReportData {
@@ -61,10 +64,12 @@ pub(crate) fn report(data: Data<'_>, held: &Held) -> ReportData {
 fn curves(data: Data<'_>, held: &Held, j: usize, picked: &[&Shown]) -> JointCurves {
     let points: Vec<Point> = picked.iter().map(|s| point(data, held, s, j)).collect();
     let (bin_qd_rad_s, bin_residual_nm, bin_std_nm) = binned(data, held, j);
+    let has_masses = data.stream.structure.base.iter().any(|b| b.nominal != 0.0);
     JointCurves {
         joint: data.stream.robot.joints[j].clone(),
         measured_nm: points.iter().map(|p| p.measured as f32).collect(),
         model_nm: points.iter().map(|p| p.model as f32).collect(),
+        nominal_nm: if has_masses { points.iter().map(|p| p.nominal as f32).collect() } else { Vec::new() },
         qd_rad_s: points.iter().map(|p| p.qd as f32).collect(),
         counted: points.iter().map(|p| p.class >= Class::Counted).collect(),
         bin_qd_rad_s,

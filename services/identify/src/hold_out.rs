@@ -8,6 +8,7 @@ use crate::fit::draft::{Data, Draft, chosen};
 use crate::fit::normal::Choice;
 use crate::fit::robust::Store;
 use crate::fit::{InstrumentCheck, Solution, fit_all};
+use crate::forward::Tested;
 use crate::layout::{Chosen, Layout};
 use crate::options::{Method, Options};
 use crate::paper::{self, ErrorTable, PaperModels, PaperResult};
@@ -202,6 +203,15 @@ impl Held {
     /// The fit that predicts a cell, and whether it has not seen it.
     pub(crate) fn of_cell(&self, cell: usize) -> (&Fitted, bool) {
         self.held_by[cell].map_or((&self.last, false), |fold| (self.fold(fold), true))
+    }
+
+    /// The fit of every fold, with what it has not seen.
+    pub(crate) fn tested<'a>(&'a self, split: &'a Split) -> Vec<Tested<'a>> {
+        let of = |(f, fold): (usize, &'a Fold)| {
+            let fitted = self.fold(f);
+            Tested { spans: &fold.test, beta: fitted.beta(), shift_s: fitted.shift_s }
+        };
+        split.folds.iter().enumerate().map(of).collect()
     }
 
     /// Delay undone in every fold [s].

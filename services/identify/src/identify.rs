@@ -7,6 +7,7 @@ use crate::condition::{Plan, Prepared, prepare};
 use crate::delay::Delay;
 use crate::fit::draft::Data;
 use crate::fit::robust::{Kept, Store};
+use crate::forward;
 use crate::hold_out::{Context, Split, hold_out};
 use crate::options::{Files, Method, Options};
 use crate::outcome::Outcome;
@@ -92,8 +93,12 @@ pub fn identify_recordings(
     let names: Vec<String> = recordings.iter().map(|r| r.name.clone()).collect();
     let data = Data { stream: &stream, sums: &sums };
     let held = hold_out(&Context { options, data, store: &store, names: &names }, &split)?;
+    progress(0.8, "simulating");
+    // The torque that friction alone takes moves nothing that could be simulated.
+    let simulable = options.signal == Signal::Motor;
+    let forward = if simulable { forward::forward(&stream, &held.tested(&split)) } else { None };
     progress(0.9, "accounting");
-    account::account(&Account { options, data, split: &split, held: &held })
+    account::account(&Account { options, data, split: &split, held: &held, forward })
 }
 
 /// Length of a block of time: so long that blocks are independent, so many that they tell the spread, and not so many that

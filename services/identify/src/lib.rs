@@ -16,8 +16,11 @@
 //! | [`bristle`], [`delay`] | nuisances: Coulomb friction after a reversal, torque delay |
 //! | [`consistent`] | links that could exist: positive definite pseudo-inertias |
 //! | [`split`], [`evaluate`] | what is held out, and the error there |
+//! | [`forward`] | the model simulated forward on held-out data |
 //! | [`excite`] | trajectories after which the parameters are known best |
 //! | [`paper`] | the founding paper's grid search and averages |
+//! | [`replay`], [`payload`] | the stages offline: payload over time, the paper's Table 2 and Fig. 8 |
+//! | [`urdf`] | identified inertials in the input URDF |
 //! | [`outcome`] | the files and the data of the report |
 
 mod account;
@@ -31,6 +34,7 @@ pub mod delay;
 pub mod evaluate;
 pub mod excite;
 pub mod fit;
+pub mod forward;
 mod hold_out;
 mod identify;
 mod layout;
@@ -38,10 +42,13 @@ mod options;
 pub mod outcome;
 pub mod paper;
 mod paper_tables;
+pub mod payload;
+pub mod replay;
 pub mod rows;
 pub mod split;
 mod stream;
 mod sums;
+pub mod urdf;
 mod warnings;
 
 pub use columns::Signal;

@@ -4,7 +4,9 @@ use crate::condition::Plan;
 use crate::delay::DelayEstimate;
 use crate::evaluate::Score;
 use crate::fit::InstrumentCheck;
+use crate::forward::Forward;
 use crate::paper::PaperResult;
+use crate::payload::PayloadRun;
 use crate::split::TimeRange;
 use lacuna_interfaces::{BadInput, ModelFile, Repair};
 use serde::Serialize;
@@ -132,6 +134,9 @@ pub struct Identification {
     pub method: String,
     /// Error on data that the fit has not seen.
     pub held_out: HeldOut,
+    /// Forward simulation on the held-out data; absent where no stretch is long enough or the torque is not the motor's.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub forward: Option<Forward>,
     /// Parameters that the data support.
     pub parameters: Vec<ParameterRow>,
     /// Parameters that they do not.
@@ -162,6 +167,9 @@ pub struct Identification {
     /// The paper's tables, with `--method paper`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub paper: Option<PaperResult>,
+    /// Payload of the recordings that were given with one.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub payload: Vec<PayloadRun>,
     /// What readers and conditioning repaired.
     pub repairs: Vec<Repair>,
     /// What a user should know before trusting the model.
@@ -177,6 +185,8 @@ pub struct JointCurves {
     pub measured_nm: Vec<f32>,
     /// Model torque, filtered [Nm]; held out where possible.
     pub model_nm: Vec<f32>,
+    /// Torque of the robot file's own model, without friction [Nm]; empty if it has no masses.
+    pub nominal_nm: Vec<f32>,
     /// Velocity [rad/s].
     pub qd_rad_s: Vec<f32>,
     /// Whether the point counts in the held-out error.

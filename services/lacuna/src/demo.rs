@@ -8,6 +8,7 @@ use crate::CommandResult;
 use crate::progress::Progress;
 use crate::recorded::{Recorded, Series};
 use clap::Args;
+use lacuna_identify::payload::{Moments, SETTLED};
 use lacuna_identify::{Method, Options, Outcome};
 use lacuna_report::{JointTrace, NamedSeries, OverlayPicture, TorqueTrace, overlay_svg};
 use lacuna_simulate::demo::{DEMO_PAYLOAD_KG, DEMO_ROBOT};
@@ -18,8 +19,6 @@ use std::process::{Command, ExitCode, Stdio};
 
 /// Speed above which a sample counts as moving [rad/s]: below it Coulomb friction is indeterminate.
 const MOVING: f64 = 0.05;
-/// The estimate counts as settled within this share of the true mass.
-const SETTLED: f64 = 0.05;
 /// Seconds of the live run that the latencies come from.
 const LIVE_S: f64 = 6.0;
 
@@ -171,19 +170,12 @@ fn up(
 /// Mean and standard deviation over the moving samples of each joint.
 fn moments(recorded: &Recorded, error: impl Fn(usize, usize) -> f64) -> Vec<(f64, f64)> {
     let joints = recorded.velocity.values.first().map_or(0, Vec::len);
-    (0..joints)
-        .map(|j| {
-            let moving = (0..recorded.velocity.values.len()).filter(|&k| recorded.velocity.values[k][j].abs() > MOVING);
-            let (mut n, mut sum, mut squares) = (0.0, 0.0, 0.0);
-            for e in moving.map(|k| error(k, j)) {
-                n += 1.0;
-                sum += e;
-                squares += e * e;
-            }
-            let mean: f64 = sum / f64::max(n, 1.0);
-            (mean, (squares / f64::max(n, 1.0) - mean * mean).max(0.0).sqrt())
-        })
-        .collect()
+    let mut moments = Moments::new(joints);
+    for (k, velocity) in recorded.velocity.values.iter().enumerate() {
+        (0..joints).filter(|&j| velocity[j].abs() > MOVING).for_each(|j| moments.add(j, error(k, j)));
+    }
+    let table = moments.table("");
+    table.mean_nm.into_iter().zip(table.std_nm).collect()
 }
 
 /// The streams of a recording, all of one length.
@@ -263,10 +255,7 @@ fn settling(payload: &Series, from: f64, until: f64, mass: f64, tolerance: f64) 
         .filter(|(t, v)| **t >= from && **t < until && v[2] > 0.0)
         .map(|(t, v)| (*t, v[0]))
         .collect();
-    let last_out = inside.iter().rposition(|(_, m)| (m - mass).abs() > tolerance);
-    let settled = &inside[last_out.map_or(0, |i| i + 1)..];
-    let first = settled.first()?;
-    Some((first.0 - from, settled.iter().map(|s| s.1).sum::<f64>() / settled.len() as f64))
+    lacuna_identify::payload::settling(&inside, from, mass, tolerance)
 }
 
 fn print_payload(carried: &Recorded, events: &[EventTruth]) {

@@ -1,11 +1,14 @@
 //! `lacuna identify`: from recordings to a model, its account and its report.
 
+use crate::payload::{self, CarriedArgs};
 use crate::progress::Progress;
 use crate::{CommandResult, identify_report, words};
 use clap::Args;
 use lacuna_identify::condition::Conditioning;
+use lacuna_identify::forward::Predicted;
 use lacuna_identify::outcome::{Identification, NotExcited, ParameterRow};
 use lacuna_identify::paper::PaperResult;
+use lacuna_identify::urdf::model_urdf;
 use lacuna_identify::{Delay, FileRange, Options, Outcome, Signal};
 use lacuna_interfaces::BadInput;
 use lacuna_report::number::{percent, significant};
@@ -52,7 +55,8 @@ pub struct IdentifyArgs {
     /// Rate that irregular recordings are brought to [Hz]. Default: that of the median step.
     #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     rate: Option<f64>,
-    /// Also fit with positive definite pseudo-inertias, and say what that costs.
+    /// Fit with positive definite pseudo-inertias, and say what that costs; of a URDF robot, model.urdf is the input with
+    /// these inertials.
     #[arg(long)]
     consistent: bool,
     /// Delay between torque and position: estimate, off, or seconds.
@@ -70,6 +74,12 @@ pub struct IdentifyArgs {
     /// Let Coulomb friction change sign at once, not over a small movement.
     #[arg(long)]
     no_bristle: bool,
+    /// Recordings with a payload, kept out of the fit: its mass over time, and the torque error without and with it (the
+    /// paper's Table 2 and Fig. 8).
+    #[arg(long, num_args = 1.., value_name = "FILE")]
+    payload: Vec<PathBuf>,
+    #[command(flatten)]
+    carried: CarriedArgs,
     /// Length of a block of time behind the intervals [s]. Default: from the amount of data.
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     block: Option<f64>,
@@ -127,22 +137,40 @@ fn delay(text: &str) -> Result<Delay, BadInput> {
 /// `lacuna identify`.
 pub fn identify(args: &IdentifyArgs) -> CommandResult {
     let options = args.options()?;
+    let carried = args.carried.options()?;
+    if args.carried.any() && args.payload.is_empty() {
+        return Err(Failure::usage(
+            "--carried: found times without a recording with a payload; expected --payload FILE",
+        ));
+    }
     words::folder_for(&args.out)?;
     let progress = Progress::bar();
-    let outcome = lacuna_identify::identify(&options, &mut |share, words| progress.at(share, words))?;
+    let mut outcome = lacuna_identify::identify(&options, &mut |share, words| progress.at(share, words))?;
     if options.consistent && outcome.identification.consistency.is_none() {
         // Never an ordinary model under the name of a consistent one.
         return Err(Failure::run("--consistent: no physically consistent fit was made for this robot and method"));
     }
+    let loaded = lacuna_recording::load_robot(&args.robot)?;
+    if !args.payload.is_empty() {
+        progress.step("estimating the payload");
+        let urdf = loaded.urdf.as_deref();
+        lacuna_identify::payload::add_to(&mut outcome, &loaded.file, urdf, &args.payload, &carried)?;
+    }
+    let urdf = loaded.urdf.as_deref().map(|text| model_urdf(&outcome, &loaded.file, text)).transpose()?.flatten();
     progress.step("writing the report");
     let html = lacuna_report::identification_report(&identify_report::data(&outcome));
     lacuna_identify::write(&outcome, &args.out)?;
     words::write(&args.out.join("report.html"), html.as_bytes())?;
+    let mut names = vec!["model.toml", "identification.json", "report.html"];
+    if let Some(text) = urdf {
+        words::write(&args.out.join("model.urdf"), text.as_bytes())?;
+        names.push("model.urdf");
+    }
     drop(progress);
     if args.json {
         words::print_json(&outcome.identification)?;
     } else {
-        let files = words::files(&args.out, &["model.toml", "identification.json", "report.html"]);
+        let files = words::files(&args.out, &names);
         words::say(&(summary(&outcome) + &files))?;
     }
     Ok(ExitCode::SUCCESS)
@@ -166,6 +194,11 @@ fn summary(outcome: &Outcome) -> String {
         Some(paper) => paper_words(paper, &id.torque_unit),
         None => parameter_words(&id.parameters) + &not_excited(&id.not_excited),
     });
+    out.push_str(&forward_words(id));
+    for run in &id.payload {
+        out.push('\n');
+        out.push_str(&payload::summary(run, &id.joints, &id.torque_unit));
+    }
     if let Some(c) = &id.consistency {
         let (cost, free) = (percent(c.training_residual_ratio - 1.0), percent(c.free_relative_error));
         let _ =
@@ -175,6 +208,23 @@ fn summary(outcome: &Outcome) -> String {
     out.push_str(&words::warnings(&id.warnings));
     out.push('\n');
     out
+}
+
+/// How far the simulated motion is from the measured one at the longest horizon.
+fn forward_words(id: &Identification) -> String {
+    let Some(forward) = &id.forward else { return String::new() };
+    let list = |p: &Predicted| {
+        let last = p.rms_rad.last().map_or(&[][..], Vec::as_slice);
+        last.iter().map(|v| significant(1e3 * v, 3)).collect::<Vec<_>>().join(", ")
+    };
+    let horizon = forward.horizons_s.last().copied().unwrap_or(0.0);
+    let nominal = forward.nominal.as_ref().map_or_else(String::new, |n| format!("; robot file {}", list(n)));
+    format!(
+        "Simulated {} ms ahead from the measured state and torque, held out, RMS per joint [mrad]: identified {}{nominal}; velocity held {}.\n",
+        significant(1e3 * horizon, 3),
+        list(&forward.identified),
+        list(&forward.held_velocity)
+    )
 }
 
 fn parameter_words(parameters: &[ParameterRow]) -> String {

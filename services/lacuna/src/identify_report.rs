@@ -1,15 +1,16 @@
 //! From an identification to its report: names and figures are carried over, nothing is computed anew.
 
-use crate::words;
+use crate::{payload_report, words};
 use lacuna_identify::Outcome;
+use lacuna_identify::forward::Predicted;
 use lacuna_identify::outcome::{Identification, JointCurves, ReportData};
 use lacuna_identify::paper::{ErrorTable as Errors, PaperResult};
 use lacuna_identify::split::TimeRange;
 use lacuna_interfaces::Repair;
 use lacuna_report::number::{compact, percent, significant};
 use lacuna_report::{
-    ConditionRow, ErrorTable, HeldOutRow, IdentificationReportData, JointTrace, MethodRow, NamedSeries, NotExcited,
-    ParameterRow, RepairRow, Setup, Stretch, Tone, TorqueTrace,
+    ConditionRow, ErrorTable, ForwardErrors, HeldOutRow, IdentificationReportData, JointTrace, MethodRow, NamedSeries,
+    NotExcited, ParameterRow, RepairRow, Setup, Stretch, Tone, TorqueTrace,
 };
 use std::ops::Range;
 
@@ -38,13 +39,53 @@ pub fn data(outcome: &Outcome) -> IdentificationReportData {
         table_1: id.paper.as_ref().and_then(|p| {
             error_table("Table 1 of the paper: torque error over the held-out recordings", &p.table1, &id.joints)
         }),
-        table_2: id.paper.as_ref().and_then(|p| {
-            error_table("Table 2 of the paper: torque error without and with the payload", &p.table2, &id.joints)
-        }),
-        payload: Vec::new(),
+        table_2: table_2(id),
+        payload: payload_report::traces(&id.payload),
+        payload_rows: payload_report::rows(&id.payload),
+        forward: forward(id),
         warnings: id.warnings.clone(),
         repairs: repairs(&id.repairs),
     }
+}
+
+fn table_2(id: &Identification) -> Option<ErrorTable> {
+    let caption = "Table 2 of the paper: torque error over the recordings with a payload, moving samples";
+    match (&id.paper, &id.payload[..]) {
+        (Some(paper), _) => error_table(caption, &paper.table2, &id.joints),
+        (None, [one]) => {
+            error_table(&format!("Torque error over {}, moving samples", one.file), &one.table2, &id.joints)
+        }
+        _ => None,
+    }
+}
+
+fn forward(id: &Identification) -> Option<ForwardErrors> {
+    let forward = id.forward.as_ref()?;
+    let last = |p: &Predicted| p.rms_rad.last().cloned().unwrap_or_default();
+    let nominal = forward.nominal.as_ref().map(|n| ("Robot file".to_owned(), last(n)));
+    let mut failed = match forward.identified.failed {
+        0 => String::new(),
+        n => format!(" In {} more the identified model could not be simulated.", words::count(n, "window")),
+    };
+    match (&forward.nominal, id.held_out.nominal_relative_error) {
+        (Some(n), _) if n.failed > 0 => {
+            failed += &format!(" The robot file's model could not be simulated in {} of them.", n.failed);
+        }
+        (None, Some(_)) => failed += " The robot file's model cannot be simulated: a joint has no inertia of its own.",
+        _ => {}
+    }
+    let note = format!(
+        "{} of held-out motion, each started at the measured state and driven by the measured torque; the robot file \
+         has no friction; velocity held is no model at all.{failed}",
+        words::count(forward.identified.windows, "window")
+    );
+    Some(ForwardErrors {
+        horizons_s: forward.horizons_s.clone(),
+        joints: id.joints.clone(),
+        identified: forward.identified.rms_rad.clone(),
+        others: nominal.into_iter().chain([("Velocity held".to_owned(), last(&forward.held_velocity))]).collect(),
+        note,
+    })
 }
 
 fn method(name: &str) -> &str {
@@ -224,7 +265,8 @@ fn conditions(id: &Identification) -> Vec<ConditionRow> {
     ]
 }
 
-fn error_table(caption: &str, models: &[Errors], joints: &[String]) -> Option<ErrorTable> {
+/// μ and σ per joint and model; `None` without a model.
+pub fn error_table(caption: &str, models: &[Errors], joints: &[String]) -> Option<ErrorTable> {
     if models.is_empty() {
         return None;
     }
@@ -298,14 +340,17 @@ fn joint(curves: &JointCurves, points: &[usize]) -> JointTrace {
         |list: &[f32]| -> Vec<f64> { points.iter().filter_map(|&k| list.get(k)).map(|v| f64::from(*v)).collect() };
     let counts = |k: &usize| curves.counted.get(*k).copied().unwrap_or(false);
     // A standing joint holds any torque within its stiction: what the model says there is not judged, nor drawn.
-    let model = points.iter().zip(pick(&curves.model_nm)).map(|(k, v)| if counts(k) { v } else { f64::NAN }).collect();
+    let judged =
+        |list: &[f32]| points.iter().zip(pick(list)).map(|(k, v)| if counts(k) { v } else { f64::NAN }).collect();
+    let nominal = NamedSeries { name: "robot file".to_owned(), values: judged(&curves.nominal_nm) };
+    let identified = NamedSeries { name: "identified".to_owned(), values: judged(&curves.model_nm) };
     JointTrace {
         joint: curves.joint.clone(),
         measured: pick(&curves.measured_nm),
         q_rad: Vec::new(),
         qd_rad_s: pick(&curves.qd_rad_s),
         variables: Vec::new(),
-        models: vec![NamedSeries { name: "identified".to_owned(), values: model }],
+        models: if curves.nominal_nm.is_empty() { vec![identified] } else { vec![nominal, identified] },
     }
 }
 
@@ -319,6 +364,7 @@ mod tests {
             joint: "q1".to_owned(),
             measured_nm: vec![0.0, 1.0, 2.0, 3.0, 4.0, 5.0],
             model_nm: vec![0.5; 6],
+            nominal_nm: vec![0.25; 6],
             qd_rad_s: vec![1.0; 6],
             counted: vec![true, true, true, true, false, true],
             bin_qd_rad_s: Vec::new(),
@@ -340,7 +386,9 @@ mod tests {
         assert_eq!(all.iter().map(|t| t.recording.as_str()).collect::<Vec<_>>(), ["a.csv", "b.csv"]);
         assert_eq!(all[1].joints[0].measured, [3.0, 4.0, 5.0]);
         assert_eq!(all[1].t_s[0], 0.0);
-        let model = &all[1].joints[0].models[0].values;
+        let [nominal, identified] = &all[1].joints[0].models[..] else { panic!("two models") };
+        assert_eq!((nominal.name.as_str(), nominal.values[0]), ("robot file", 0.25));
+        let model = &identified.values;
         assert!(model[0] == 0.5 && model[1].is_nan(), "what is not judged is not drawn: {model:?}");
     }
 

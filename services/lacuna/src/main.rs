@@ -11,6 +11,8 @@ mod graph;
 mod identify;
 mod identify_report;
 mod info;
+mod payload;
+mod payload_report;
 mod progress;
 mod prove;
 mod recorded;
@@ -50,6 +52,8 @@ enum Command {
     Logs(runs::LogsArgs),
     /// Identify a robot's model from recordings, with its error on data it has not seen.
     Identify(identify::IdentifyArgs),
+    /// Estimate the payload in recordings under an identified model: picked and placed when, how heavy, how quickly known.
+    Payload(payload::PayloadArgs),
     /// Find the physics that the robot's model leaves out: where, what, how large, how sure.
     Diagnose(diagnose::DiagnoseArgs),
     /// Calibrate the diagnosis on simulated robots whose truth is known, or measure how well it is calibrated.
@@ -78,6 +82,7 @@ fn main() -> ExitCode {
         Command::Top(args) => top::top(&args),
         Command::Logs(args) => runs::logs(&args),
         Command::Identify(args) => identify::identify(&args),
+        Command::Payload(args) => payload::payload(&args),
         Command::Diagnose(args) => diagnose::diagnose(&args),
         Command::Calibrate(args) => calibrate::calibrate(&args),
         Command::Simulate(args) => simulate::simulate(&args),

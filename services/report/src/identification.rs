@@ -1,13 +1,14 @@
 //! The identification report: can this model be trusted, and what is in it?
 
 use crate::blocks::{Bar, Bars, Block, Cell, Figure, Report, Section, Table, Tone};
-use crate::chart::{Axis, Chart, Curve, Role};
+use crate::chart::{Chart, Role};
 use crate::common::{
     joint_names, model_role, overlay, parameter_table, percent_or_dash, repairs_blocks, residual_over,
     residual_over_time, setup_facts, torque_unit,
 };
 use crate::data::{ParameterRow, RepairRow, Setup, TorqueTrace};
-use crate::number::{percent, significant};
+use crate::number::{compact, percent, significant};
+use crate::payload::{self, PayloadRow, PayloadTrace};
 use serde::{Deserialize, Serialize};
 
 /// All an identification report shows. Empty fields leave their part out.
@@ -51,6 +52,10 @@ pub struct IdentificationReportData {
     pub table_2: Option<ErrorTable>,
     /// Estimated payload over time, as the paper's Fig. 8; one entry per torque source.
     pub payload: Vec<PayloadTrace>,
+    /// What was carried when.
+    pub payload_rows: Vec<PayloadRow>,
+    /// Forward simulation on the held-out data.
+    pub forward: Option<ForwardErrors>,
     /// Warnings in words.
     pub warnings: Vec<String>,
     /// What was repaired in the recordings.
@@ -140,18 +145,20 @@ impl ErrorTable {
     }
 }
 
-/// Estimated payload mass over time.
+/// Forward simulation on held-out data: root mean square position error per joint and horizon.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
-pub struct PayloadTrace {
-    /// What it was estimated from: "measured torque".
-    pub source: String,
-    /// Time \[s\].
-    pub t_s: Vec<f64>,
-    /// Estimate \[kg\].
-    pub estimate_kg: Vec<f64>,
-    /// True mass, where known \[kg\].
-    pub true_kg: Vec<f64>,
+pub struct ForwardErrors {
+    /// How far ahead \[s\].
+    pub horizons_s: Vec<f64>,
+    /// Names of the joints.
+    pub joints: Vec<String>,
+    /// `identified[horizon][joint]` \[rad; prismatic: m\].
+    pub identified: Vec<Vec<f64>>,
+    /// Further models at the longest horizon, per joint: name and errors.
+    pub others: Vec<(String, Vec<f64>)>,
+    /// How it was done, in words.
+    pub note: String,
 }
 
 /// Writes the identification report as one self-contained HTML file.
@@ -170,7 +177,7 @@ pub fn identification_report(data: &IdentificationReportData) -> String {
     sections.push(Section::new("Residual over velocity and angle", residuals_over_variables(data, unit)));
     sections.push(Section::new("Parameters", parameters(data)));
     sections.push(Section::new("Error of each model", error_tables(data, unit)));
-    sections.push(Section::new("Payload", payload(&data.payload)));
+    sections.push(Section::new("Payload", payload::blocks(&data.payload_rows, &data.payload)));
     sections.push(Section::new("Repairs", repairs_blocks(&data.repairs)));
     sections.retain(|s| !s.blocks.is_empty());
     let title = format!("Identification of {}", data.robot);
@@ -233,6 +240,7 @@ fn held_out(data: &IdentificationReportData, unit: &str) -> Vec<Block> {
         blocks.push(Block::Bars(method_bars(&data.methods)));
         blocks.push(Block::Table(method_table(data, unit)));
     }
+    blocks.extend(data.forward.as_ref().map(forward));
     blocks
 }
 
@@ -352,19 +360,22 @@ fn error_tables(data: &IdentificationReportData, unit: &str) -> Vec<Block> {
     [&data.table_1, &data.table_2].into_iter().flatten().map(|t| Block::Table(t.table(unit))).collect()
 }
 
-fn payload(traces: &[PayloadTrace]) -> Vec<Block> {
-    let mut blocks = Vec::new();
-    for trace in traces {
-        let curve = |name, role, values| Curve { name, role, values, shown: true };
-        let mut curves = vec![curve("estimated", Role::After, trace.estimate_kg.as_slice())];
-        if !trace.true_kg.is_empty() {
-            curves.insert(0, curve("true", Role::Measured, trace.true_kg.as_slice()));
-        }
-        let title = format!("From {}", trace.source);
-        blocks.push(Block::Chart(
-            Chart::lines(&title, Axis::new("Time", "s"), Axis::new("Payload", "kg"), &trace.t_s, &curves)
-                .synced("payload"),
-        ));
+fn forward(errors: &ForwardErrors) -> Block {
+    let caption = "Forward simulation, held out: RMS error of the simulated position (prismatic joints: mm)";
+    let mut table = Table::new(caption, &["Joint"]);
+    let ahead = |h: &f64| format!("{} ms", compact(1e3 * h));
+    table.columns.extend(errors.horizons_s.iter().map(|h| format!("Identified, {} [mrad]", ahead(h))));
+    let longest = errors.horizons_s.last().map_or_else(String::new, ahead);
+    table.columns.extend(errors.others.iter().map(|(name, _)| format!("{name}, {longest} [mrad]")));
+    let last = errors.identified.len().saturating_sub(1);
+    for (j, joint) in errors.joints.iter().enumerate() {
+        let get = |list: &[f64]| 1e3 * list.get(j).copied().unwrap_or(f64::NAN);
+        let mut row = vec![Cell::Head(joint.clone())];
+        let cell =
+            |(k, rms): (usize, &Vec<f64>)| if k == last { Cell::strong(get(rms)) } else { Cell::number(get(rms)) };
+        row.extend(errors.identified.iter().enumerate().map(cell));
+        row.extend(errors.others.iter().map(|(_, rms)| Cell::number(get(rms))));
+        table.push(row);
     }
-    blocks
+    Block::Table(table.with_note(&errors.note))
 }

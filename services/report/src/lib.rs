@@ -1,6 +1,6 @@
 //! Reports and pictures: plain data in, one self-contained file out.
 //!
-//! - [`identification_report`] and [`diagnosis_report`] write HTML that opens offline, in light and dark,
+//! - [`identification_report`], [`payload_report`] and [`diagnosis_report`] write HTML that opens offline, in light and dark,
 //!   on paper and by keyboard, in less than [`MAX_BYTES`] bytes. Their input are the plain structs of this
 //!   crate; it knows nothing of how the numbers came about.
 //! - [`Report`] is the general form, made of [`Block`]s, for any other report.
@@ -22,6 +22,7 @@ mod heat;
 mod html;
 mod identification;
 pub mod number;
+mod payload;
 mod picture;
 
 pub use blocks::{Bar, Bars, Block, Cell, Figure, HeatMap, Report, Section, Table, Tone};
@@ -33,7 +34,8 @@ pub use diagnosis::{
 };
 pub use html::MAX_BYTES;
 pub use identification::{
-    ConditionRow, ErrorTable, HeldOutRow, IdentificationReportData, MethodRow, NotExcited, PayloadTrace,
+    ConditionRow, ErrorTable, ForwardErrors, HeldOutRow, IdentificationReportData, MethodRow, NotExcited,
     identification_report,
 };
+pub use payload::{PayloadReportData, PayloadRow, PayloadTrace, payload_report};
 pub use picture::{OverlayPicture, overlay_svg, table_picture};

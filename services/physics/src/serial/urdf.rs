@@ -5,6 +5,8 @@
 //! branch is refused, because its position is not in the recording. Visuals, collisions, limits, dynamics and
 //! transmissions are not read.
 
+pub mod write;
+
 use super::chain::{Body, Placement, Segment, about};
 use crate::{Mat3, Vec3};
 use lacuna_interfaces::BadInput;

@@ -126,7 +126,13 @@ fn payload() -> PayloadTrace {
         state += (m - state) * 0.03;
         state + 0.02 * noise.next()
     };
-    PayloadTrace { source: "measured torque".into(), estimate_kg: true_kg.iter().map(follow).collect(), t_s, true_kg }
+    PayloadTrace {
+        source: "measured torque".into(),
+        estimate_kg: true_kg.iter().map(follow).collect(),
+        t_s,
+        true_kg,
+        known: true,
+    }
 }
 
 /// An identification report with every part filled.
@@ -190,6 +196,24 @@ pub fn identification() -> IdentificationReportData {
             errors: vec![vec![(4.1, 7.9), (0.2, 1.1)], vec![(3.8, 7.1), (0.1, 1.0)], vec![(-4.0, 7.4), (-0.3, 1.2)]],
         }),
         payload: vec![payload()],
+        payload_rows: vec![PayloadRow {
+            recording: "traj_02.csv".into(),
+            source: "measured torque".into(),
+            picked_s: Some(1.2),
+            placed_s: Some(3.4),
+            mass_kg: Some(3.79),
+            sd_kg: Some(0.02),
+            known_kg: Some(3.8),
+            settled_after_s: Some(0.11),
+            zero_after_s: None,
+        }],
+        forward: Some(ForwardErrors {
+            horizons_s: vec![0.05, 0.1, 0.2],
+            joints: ["q1", "q2", "q3"].map(str::to_owned).to_vec(),
+            identified: vec![vec![2e-4, 3e-4, 2e-4], vec![7e-4, 9e-4, 8e-4], vec![2.4e-3, 2.9e-3, 2e-3]],
+            others: vec![("Velocity held".into(), vec![0.24, 0.12, 0.06])],
+            note: "120 windows of held-out motion.".into(),
+        }),
         warnings: vec![
             "Joint 2 stands still for 19 % of traj_04.csv; these samples are not judged, since a stuck joint \
              holds any torque within its static friction."

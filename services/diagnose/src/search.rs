@@ -128,6 +128,11 @@ impl<'a> Search<'a> {
     /// Fit of the model without some of its terms, at the same weights. Tolerances are held at their limits here
     /// too: else they would take the place of what is taken away.
     pub fn fit_without(&self, model: &Model, state: &State, gone: &[usize]) -> Option<Fit> {
+        self.model_without(model, state, gone).map(|(_, fit)| fit)
+    }
+
+    /// As [`Self::fit_without`], with the model that was fitted: what it holds at its limits may differ.
+    pub fn model_without(&self, model: &Model, state: &State, gone: &[usize]) -> Option<(Model, Fit)> {
         let mut rest = model.without(gone);
         let taken: Vec<&Atom> = gone.iter().filter_map(|i| model.atoms.get(*i)).collect();
         let gram = if taken.iter().any(|a| a.fixed) || (state.soft.is_none() && !model.clamped.is_empty()) {
@@ -152,7 +157,7 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        fit
+        Some((rest, fit?))
     }
 
     /// Target less the terms that act in full.

@@ -22,6 +22,8 @@ pub struct Base {
     pub tolerances: Vec<Tolerance>,
     /// Whether the robot file's masses are used.
     pub nominal_base: bool,
+    /// Whether `nominal` is the torque that sensors behind the gears measured.
+    pub measured_load: bool,
 }
 
 /// State of a bristle that bends over `width` before it slides: s ← clip(s + Δθ/width).
@@ -43,7 +45,7 @@ pub fn sticks(scene: &Scene, width: &[f64]) -> Raw {
 }
 
 /// One joint's signals alone.
-fn only(scene: &Scene, all: &Raw, j: usize) -> Raw {
+pub(crate) fn only(scene: &Scene, all: &Raw, j: usize) -> Raw {
     all.iter()
         .map(|p| {
             let mut out = vec![Vec::new(); scene.joints];
@@ -53,15 +55,15 @@ fn only(scene: &Scene, all: &Raw, j: usize) -> Raw {
         .collect()
 }
 
-fn push(scene: &Scene, out: &mut Vec<BaseColumn>, role: BaseRole, raw: Raw) {
+pub(crate) fn push(scene: &Scene, out: &mut Vec<BaseColumn>, role: BaseRole, raw: Raw) {
     let column = scene.column(raw.clone());
-    out.push(BaseColumn { role, raw, column });
+    out.push(BaseColumn { role, raw, column, precision: 0.0 });
 }
 
 impl Base {
     /// Base on the robot file's masses.
     pub fn nominal(scene: &Scene) -> Self {
-        let mut base = Self::bare(scene, true);
+        let mut base = Self::bare(scene, true, false);
         base.fit_friction(scene);
         base.add_tolerances(scene);
         base
@@ -69,9 +71,13 @@ impl Base {
 
     /// This base on other recordings: the same columns, with the travel of the friction states fitted here.
     pub fn on(&self, scene: &Scene) -> Self {
-        let mut base = Self::bare(scene, self.nominal_base);
+        let mut base = Self::bare(scene, self.nominal_base, self.measured_load);
         base.width.clone_from(&self.width);
         base.add_friction(scene);
+        if self.measured_load {
+            base.add_transmission(scene);
+            return base;
+        }
         if self.nominal_base {
             base.add_tolerances(scene);
             return base;
@@ -84,28 +90,33 @@ impl Base {
             let at = symbols.iter().position(|s| s.symbol == *name);
             let column = at.and_then(|i| dynamic.get_mut(i)?.take());
             let column = column.unwrap_or_else(|| Column { part: vec![Vec::new(); scene.joints] });
-            base.columns.push(BaseColumn { role: own.role.clone(), raw: Raw::new(), column });
+            base.columns.push(BaseColumn { role: own.role.clone(), raw: Raw::new(), column, precision: own.precision });
         }
         base
     }
 
     /// Torques without columns.
-    fn bare(scene: &Scene, nominal_base: bool) -> Self {
+    pub(crate) fn bare(scene: &Scene, nominal_base: bool, measured_load: bool) -> Self {
         let torque_raw: Raw = scene.pieces.iter().map(|p| p.tau.clone()).collect();
-        let nominal = if nominal_base {
+        let nominal = if measured_load {
+            scene.pieces.iter().map(|p| p.sensor.clone()).collect()
+        } else if nominal_base {
             scene.rigid_raw(scene.body.as_ref(), &scene.pi)
         } else {
             scene.pieces.iter().map(|p| vec![vec![0.0; p.len()]; scene.joints]).collect()
         };
+        let target = scene.column(difference(&torque_raw, &nominal));
         Self {
-            target: scene.column(difference(&torque_raw, &nominal)),
-            torque: scene.column(torque_raw),
+            // Behind a sensor it is the drive train's own torque that is in question, not what passes through it.
+            torque: if measured_load { target.clone() } else { scene.column(torque_raw) },
+            target,
             nominal,
             stick: Raw::new(),
             width: vec![1e-4; scene.joints],
             columns: Vec::new(),
             tolerances: Vec::new(),
             nominal_base,
+            measured_load,
         }
     }
 
@@ -124,7 +135,7 @@ impl Base {
 
     /// Base whose dynamic parameters are fitted freely: the smallest set that the motion tells apart.
     pub fn free(scene: &Scene) -> Self {
-        let mut base = Self::bare(scene, false);
+        let mut base = Self::bare(scene, false, false);
         base.fit_friction(scene);
         base.add_offsets(scene);
         let dynamic = parameter_columns(scene);
@@ -133,12 +144,26 @@ impl Base {
         let symbols = scene.body.parameters();
         for (i, column) in dynamic.into_iter().enumerate().filter(|(i, _)| keep.contains(i)) {
             let role = BaseRole::Parameter(symbols[i].symbol.clone());
-            base.columns.push(BaseColumn { role, raw: Raw::new(), column });
+            base.columns.push(BaseColumn { role, raw: Raw::new(), column, precision: 0.0 });
         }
+        base.hold_weakly(scene);
         base
     }
 
-    fn fit_friction(&mut self, scene: &Scene) {
+    /// Gives every column of a freely fitted base a weak prior: a coefficient whose torque is as large as all the
+    /// torque there is costs half a nat. Where the motion excites a column that is nothing; where a fold left
+    /// out is the only one to excite it, it keeps the others from extrapolating without bounds.
+    pub(crate) fn hold_weakly(&mut self, scene: &Scene) {
+        let power = |x: &[f64]| x.iter().map(|v| v * v).sum::<f64>();
+        for column in &mut self.columns {
+            let joints: Vec<usize> = (0..scene.joints).filter(|j| !column.column.part[*j].is_empty()).collect();
+            let shares =
+                joints.iter().map(|j| power(&column.column.part[*j]) / power(&self.torque.part[*j]).max(1e-30));
+            column.precision = shares.fold(0.0, f64::max);
+        }
+    }
+
+    pub(crate) fn fit_friction(&mut self, scene: &Scene) {
         let speeds: Raw = scene.pieces.iter().map(|p| p.qd.clone()).collect();
         for j in 0..scene.joints {
             self.width[j] = fit_width(scene, &self.target, &speeds, j);
@@ -146,7 +171,7 @@ impl Base {
         self.add_friction(scene);
     }
 
-    fn add_offsets(&mut self, scene: &Scene) {
+    pub(crate) fn add_offsets(&mut self, scene: &Scene) {
         for j in 0..scene.joints {
             let raw = crate::scene::constant(scene, j);
             push(scene, &mut self.columns, BaseRole::Offset(j), raw);

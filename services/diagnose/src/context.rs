@@ -28,7 +28,7 @@ pub fn context<'a>(
                 add(&mut link, &column.raw, beta);
             }
         }
-        if !base.nominal_base {
+        if !base.nominal_base && !base.measured_load {
             let rigid = scene.rigid_raw(scene.body.as_ref(), &free_parameters(scene, model, state));
             add(&mut predicted, &rigid, 1.0);
             add(&mut link, &rigid, 1.0);
@@ -64,10 +64,12 @@ pub fn context<'a>(
     }
     let rotor = rotor_inertia(scene);
     let inertia = crate::families::link_inertia(scene, &rotor);
+    // A sensor behind the gear does not feel the rotor.
+    let felt = if base.measured_load { 0.0 } else { 1.0 };
     for (piece, signals) in scene.pieces.iter().zip(&mut link) {
         for (j, signal) in signals.iter_mut().enumerate() {
             for (v, a) in signal.iter_mut().zip(&piece.qdd[j]) {
-                *v -= rotor[j] * a;
+                *v -= felt * rotor[j] * a;
             }
         }
     }
@@ -86,6 +88,7 @@ pub fn context<'a>(
         predicted,
         link,
         nominal_base: base.nominal_base,
+        measured_load: base.measured_load,
         speed: (0..scene.joints).map(|j| quantile(&|p| &p.qd[j], 0.75, true).max(1e-3)).collect(),
         range: (0..scene.joints)
             .map(|j| (quantile(&|p| &p.q[j], 0.0, false), quantile(&|p| &p.q[j], 1.0, false)))

@@ -5,7 +5,7 @@ use crate::scene::{Raw, Scene};
 use lacuna_estimation::stats;
 use lacuna_interfaces::robot::Kind;
 use lacuna_physics::Motion;
-use lacuna_physics::effects::{self, Effect, EffectContext, Scope, Track};
+use lacuna_physics::effects::{self, Effect, EffectContext, Scope, Side, Track};
 use std::collections::BTreeMap;
 
 /// What the model says so far, for candidates that depend on it.
@@ -22,6 +22,8 @@ pub struct Context<'a> {
     pub link: Raw,
     /// Whether the robot file's masses are the base; otherwise base parameters are fitted freely.
     pub nominal_base: bool,
+    /// Whether sensors measured the torque behind the gears: then only drive and gear are in question.
+    pub measured_load: bool,
     /// 75 % point of the speed of each joint [rad/s].
     pub speed: Vec<f64>,
     /// Lowest and highest position of each joint [rad].
@@ -69,7 +71,7 @@ type Line = (&'static str, &'static [&'static str], &'static str, Shapes);
 
 /// Effects that the search takes as columns; payload in carries and collisions are found by their events.
 pub fn all() -> Vec<Family> {
-    let list: [Line; 32] = [
+    let list: [Line; 33] = [
         ("coulomb_asym", &["a_c"], "masses whole", none),
         ("stribeck", &["f_sc"], "whole", stribeck),
         ("viscous_power", &["a"], "whole", power),
@@ -77,6 +79,7 @@ pub fn all() -> Vec<Family> {
         ("load_friction", &["mu_v"], "dynamic whole", none),
         ("thermal_viscous", &["b"], "whole", warming),
         ("thermal_viscous", &["b_T"], "whole", temperature),
+        ("thermal_viscous", &["c_T"], "whole", temperature),
         ("presliding", &["f"], "whole", presliding),
         ("backlash", &[], "masses dynamic driven", backlash),
         ("cogging", &["a_s", "a_c"], "", cogging),
@@ -154,7 +157,9 @@ impl Family {
     pub fn shapes(&self, ctx: &Context<'_>, joint: usize) -> Option<Vec<ShapeRange>> {
         let scene = ctx.scene;
         if !self.effect.robots.include(scene.robot.kind)
-            || (self.needs_masses && !ctx.nominal_base)
+            || (self.needs_masses && !ctx.nominal_base && !(ctx.measured_load && self.effect.id == "kt_scale"))
+            // The sensor measures what the link does, and its lag is in the base.
+            || (ctx.measured_load && (self.effect.side == Side::Link || self.effect.id == "torque_delay"))
             || (self.effect.scope == Scope::Pair && (joint + 1 >= scene.joints || scene.robot.kind == Kind::Delta))
         {
             return None;
@@ -262,7 +267,11 @@ impl Family {
         }
         match self.effect.id {
             // Below a good half of a sample it is a matter of when a drive stamps its samples.
-            "torque_delay" => shape.first().is_some_and(|d| d.abs() > 0.6 / scene.rate_hz),
+            // At an end of what is searched it is not a delay but something that a delay is nearest to.
+            "torque_delay" => {
+                let (low, high) = delay_bounds(scene);
+                shape.first().is_some_and(|d| d.abs() > 0.6 / scene.rate_hz && *d > 0.98 * low && *d < 0.98 * high)
+            }
             "viscous_power" => shape.first().is_some_and(|p| (p - 1.0).abs() > 0.12),
             "thermal_viscous" if self.keep.first() == Some(&"b_T") => amplitude.first().is_some_and(|b| *b < 0.0),
             "load_friction" => amplitude.first().is_some_and(|m| *m < 0.6),
@@ -388,14 +397,15 @@ fn coupling(_: &Context<'_>, _: usize) -> Vec<ShapeRange> {
     vec![ShapeRange { symbol: "rho", grid: vec![-1.0, 1.0], bounds: None }]
 }
 
+fn delay_bounds(scene: &Scene) -> (f64, f64) {
+    let dt = 1.0 / scene.rate_hz;
+    ((-0.005f64).max(-5.0 * dt), 0.05f64.min(20.0 * dt))
+}
+
 fn delay(ctx: &Context<'_>, _: usize) -> Vec<ShapeRange> {
     let dt = 1.0 / ctx.scene.rate_hz;
-    let most = 0.05f64.min(20.0 * dt);
-    one(
-        "D",
-        [-2.0, -1.0, 1.0, 2.0, 4.0].iter().map(|n| n * dt).filter(|d| *d > -0.005).collect(),
-        ((-0.005f64).max(-5.0 * dt), most),
-    )
+    let bounds = delay_bounds(ctx.scene);
+    one("D", [-2.0, -1.0, 1.0, 2.0, 4.0].iter().map(|n| n * dt).filter(|d| *d > bounds.0).collect(), bounds)
 }
 
 fn saturation(ctx: &Context<'_>, j: usize) -> Vec<ShapeRange> {

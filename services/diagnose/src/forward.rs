@@ -35,8 +35,13 @@ pub struct Forward {
     pub windows: usize,
 }
 
-/// Simulates both models along the judged recordings; `None` where the model has no mass matrix or joints rest too much.
+/// Simulates both models along the judged recordings; `None` where the model has no mass matrix or
+/// joints rest too much.
 pub(crate) fn forward(m: &Material<'_>, proof: &Proof<'_>, bare: Option<Bare<'_>>) -> Option<Forward> {
+    if m.base.measured_load {
+        // The drive train alone moves nothing.
+        return None;
+    }
     let scene = proof.scene;
     let state = &m.selection.state;
     let on = |model: &Model, state: &crate::search::State| -> Raw {

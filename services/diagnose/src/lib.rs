@@ -8,8 +8,10 @@ pub mod boost;
 pub mod calibration;
 mod check;
 pub mod context;
+mod deflection;
 pub mod events;
 pub mod evidence;
+mod expression;
 pub mod families;
 pub mod findings;
 pub mod forward;
@@ -26,6 +28,7 @@ pub mod rank;
 pub mod refine;
 mod region;
 mod report;
+pub mod ripple;
 mod rival;
 pub mod scene;
 pub mod screen;
@@ -37,6 +40,7 @@ pub mod swap;
 pub mod swung;
 pub mod tolerance;
 mod transfer;
+mod transmission;
 pub mod unknown;
 mod words;
 
@@ -105,6 +109,12 @@ pub fn diagnose_with(
     calibration: &Calibration,
     progress: &mut dyn FnMut(f64, &str),
 ) -> Result<Outcome, BadInput> {
+    if !options.sim.is_empty() && !options.robot.columns.link_torque.is_empty() {
+        // A simulator is compared by the torque of its motors; sensors behind the gears are no part of that.
+        let mut plain = options.clone();
+        plain.robot.columns.link_torque.clear();
+        return diagnose_with(&plain, calibration, progress);
+    }
     progress(0.0, "conditioning the recordings");
     check::recordings(&options.robot, &options.recordings)?;
     if !options.sim.is_empty() {
@@ -134,6 +144,11 @@ pub fn diagnose_with(
             let how = Conditioning { band_hz: Some(scene.band_hz), ..how(&test) };
             let mut there = Scene::new(&options.robot, urdf, &test.recordings, &how)
                 .map_err(|e| BadInput { what: format!("test: {}", e.what), ..e })?;
+            if found.base.measured_load && !there.has_sensors() {
+                return Err(BadInput::new(
+                    "test: found recordings without the columns of columns.link_torque; expected them as in training",
+                ));
+            }
             there.count_above(&scene.slow_rad_s);
             let known = simulator.as_ref().map(|s| s.take_from(&mut there, &families));
             transfer::blank(&mut there, &families, &found.limits, found.fitted());
@@ -248,8 +263,11 @@ pub(crate) fn find(
 /// Largest relative error at which a robot file's masses are taken for the base.
 const NOMINAL_ERROR: f64 = 0.3;
 
-/// The robot file's masses as the base where they are given and fit; otherwise a freely fitted base.
+/// What the sensors behind the gears measured as the base where there are any; the robot file's masses where they are given and fit; otherwise a freely fitted base.
 fn choose_base(scene: &Scene) -> Base {
+    if scene.has_sensors() {
+        return Base::transmission(scene);
+    }
     let delta = scene.body.as_delta().is_some();
     let nominal = (delta || scene.pi.iter().any(|v| *v != 0.0)).then(|| Base::nominal(scene));
     match nominal {

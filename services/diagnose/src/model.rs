@@ -13,6 +13,8 @@ pub struct BaseColumn {
     pub raw: Raw,
     /// At the rows.
     pub column: Column,
+    /// Prior precision of its coefficient about 0 (0: none).
+    pub precision: f64,
 }
 
 /// Role of a base column.
@@ -22,6 +24,10 @@ pub enum BaseRole {
     Viscous(usize),
     /// f_c of a joint.
     Coulomb(usize),
+    /// Inertia of a joint's rotor (only where the link's torque is measured).
+    Rotor(usize),
+    /// Lag of a joint's torque sensor [s].
+    SensorLag(usize),
     /// Constant torque of a joint (only where the base is fitted freely).
     Offset(usize),
     /// A dynamic parameter of the robot, by symbol (only where the base is fitted freely).

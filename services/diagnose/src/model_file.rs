@@ -49,7 +49,7 @@ fn base(m: &Material<'_>, model: &mut ModelFile) {
         standstill_rad_s: scene.slow_rad_s.clone(),
         ..FrictionModel::default()
     };
-    if !m.base.nominal_base {
+    if !m.base.nominal_base && !m.base.measured_load {
         // What was not fitted is 0, not what the robot file says.
         let symbols = scene.body.parameters().iter();
         model.rigid_body.parameters = symbols.map(|p| (p.symbol.clone(), 0.0)).collect();
@@ -62,10 +62,13 @@ fn base(m: &Material<'_>, model: &mut ModelFile) {
                 friction.offset.resize(n, 0.0);
                 friction.offset[*j] = v;
             }
+            BaseRole::Rotor(j) => {
+                model.rigid_body.parameters.insert(format!("Ia{}", j + 1), v.max(0.0));
+            }
             BaseRole::Parameter(symbol) => {
                 model.rigid_body.parameters.insert(symbol.clone(), v);
             }
-            BaseRole::Tolerance(_) => {}
+            BaseRole::SensorLag(_) | BaseRole::Tolerance(_) => {}
         }
     }
     model.friction = friction;

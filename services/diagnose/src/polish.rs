@@ -137,7 +137,12 @@ impl Search<'_> {
             }
             let own: Vec<usize> = (0..model.atoms.len()).filter(|i| self.effect_of(&model.atoms[*i]) == id).collect();
             let without = self.fit_without(model, state, &own)?;
-            let loss = self.compare(state, &without, &state.fit, Vec::new()).gain;
+            let score = self.compare(state, &without, &state.fit, Vec::new());
+            // Short recordings give few nats; what is there in every part of them is no stand-in.
+            if self.steady(&without, &score) {
+                continue;
+            }
+            let loss = score.gain;
             if out.is_none_or(|o| loss < o.1) {
                 out = Some((id, loss));
             }

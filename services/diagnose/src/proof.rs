@@ -119,17 +119,21 @@ impl<'a> Proof<'a> {
     /// What the model without the terms `gone` leaves, the rest fitted anew.
     pub fn without(&self, m: &Material<'_>, gone: &[usize]) -> Option<(Column, Fit)> {
         let (model, state) = (&m.selection.model, &m.selection.state);
-        let fit = m.search.fit_without(model, state, gone)?;
+        let (rest, fit) = m.search.model_without(model, state, gone)?;
         let keep: Vec<usize> = (0..model.atoms.len()).filter(|i| !gone.contains(i)).collect();
         if let Some(test) = &self.test {
-            let rest = test.of(model, &keep);
+            let mut judged = model.clone();
+            judged.clamped.clone_from(&rest.clamped);
+            let rest = test.of(&judged, &keep);
             return Some((test.residual(&rest, &fit.beta), fit));
         }
+        // The rest may hold other columns at their limits than the whole.
         let mut target = state.target.clone();
+        model.clamped.iter().for_each(|(i, v)| subtract(&mut target, &model.base[*i].column, -v));
+        rest.clamped.iter().for_each(|(i, v)| subtract(&mut target, &rest.base[*i].column, *v));
         for atom in gone.iter().filter_map(|i| model.atoms.get(*i)).filter(|a| a.fixed) {
             atom.columns.iter().for_each(|c| subtract(&mut target, c, -1.0));
         }
-        let rest = model.without(gone);
         Some((left_out(&m.search.layout.folds, &target, &rest.columns(), &fit), fit))
     }
 

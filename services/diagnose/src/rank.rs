@@ -1,6 +1,7 @@
 //! One round of candidates: what each would add, and which of them is to be taken.
 
 use crate::families::Context;
+use crate::gram::Fit;
 use crate::model::{Atom, Model};
 use crate::search::{Score, Search, State};
 use crate::select::Selection;
@@ -25,6 +26,11 @@ const MOST_AMPLITUDE: f64 = 1e6;
 const SHAKEN: f64 = 2.0;
 /// See [`NEARLY`].
 const NEARLY_NATS: f64 = 12.0;
+/// Share of the entry threshold for what is steady, see [`Search::steady`].
+const STEADY: f64 = 0.4;
+/// Share of a joint's residual that must go for an effect to be steady.
+const STEADY_SHARE: f64 = 0.15;
+
 /// Root of the sum of squares.
 fn rms_of(v: &[f64]) -> f64 {
     v.iter().map(|x| x * x).sum::<f64>().sqrt()
@@ -42,6 +48,16 @@ impl Search<'_> {
         ranked.merit > 0.0 && size > 1.0 && ranked.score.folds > 0.5
     }
 
+    /// Whether an effect takes a good part of a joint's residual, and does so on every single fold: a short
+    /// recording with a slow residual has few independent samples, but this is not what chance does.
+    pub(crate) fn steady(&self, without: &Fit, score: &Score) -> bool {
+        let count = |j: usize| self.layout.joint_count(j).max(1.0);
+        let rms: Vec<f64> = (0..self.scene.joints).map(|j| (without.held_out_joint(j) / count(j)).sqrt()).collect();
+        let taken = |j: usize| 1.0 - (1.0 - (score.size_nm[j] / rms[j].max(1e-30)).powi(2)).max(0.0).sqrt();
+        let most = (0..rms.len()).map(taken).fold(0.0, f64::max);
+        most > STEADY_SHARE && score.by_fold.iter().all(|s| *s > 0.02)
+    }
+
     pub(crate) fn rank(&self, ctx: &Context<'_>, model: &Model, state: &State, atoms: Vec<Atom>) -> Option<Ranked> {
         let score = self.score(model, state, &atoms.iter().collect::<Vec<_>>())?;
         if score.amplitude.iter().any(|a| !(a.abs() < MOST_AMPLITUDE)) {
@@ -57,7 +73,10 @@ impl Search<'_> {
             }
         }
         let entry = atoms.first().map_or(0.0, |a| self.limits.entry[a.family]);
-        let merit = score.gain - self.limits.column * at as f64 - entry;
+        let entry = if self.steady(&state.fit, &score) { STEADY * entry } else { entry };
+        // A term that acts in full has no amplitude but a shape that was fitted: that is paid for as well.
+        let numbers: usize = atoms.iter().map(|a| a.width().max(1)).sum();
+        let merit = score.gain - self.limits.column * numbers as f64 - entry;
         Some(Ranked { atoms, score, merit })
     }
 

@@ -4,6 +4,7 @@ use crate::Outcome;
 use crate::base::Base;
 use crate::calibration::{self, Calibration, MOST_MARGIN};
 use crate::context::context;
+use crate::deflection::deflection;
 use crate::evidence::{Evidence, repairs};
 use crate::families::Context;
 use crate::findings::*;
@@ -94,6 +95,10 @@ pub fn outcome(m: &Material<'_>, progress: &mut dyn FnMut(f64, &str)) -> Option<
         (0..n).map(|j| (before.fit.held_out_joint(j) / search.layout.joint_count(j).max(1.0)).sqrt()).collect();
     let (unknown, unknown_finding) = unknown(m, &ctx, &rest_box, &fitted_rms);
     findings.extend(unknown_finding);
+    let (wound, not_wound) = deflection(scene, &ctx);
+    if !findings.iter().any(|f| f.effect == "elasticity") {
+        findings.extend(wound);
+    }
     findings.sort_by(|a, b| gain(b).total_cmp(&gain(a)));
     let held = held_out(m, &proof);
     let mut gain = search.compare(&selection.state, &before.fit, &selection.state.fit, Vec::new()).gain;
@@ -115,7 +120,7 @@ pub fn outcome(m: &Material<'_>, progress: &mut dyn FnMut(f64, &str)) -> Option<
         mismatch,
         held_out: held,
         unknown,
-        excluded: excluded(m),
+        excluded: not_wound.into_iter().chain(excluded(m)).collect(),
         repairs: repairs(m),
         next_experiment: next_experiment(&findings),
         verdict: String::new(),
@@ -124,6 +129,12 @@ pub fn outcome(m: &Material<'_>, progress: &mut dyn FnMut(f64, &str)) -> Option<
     let words = Words { unit: scene.robot.torque_unit.symbol(), split: m.split, against: m.simulator.is_some() };
     for finding in out.findings.iter_mut().filter(|f| f.sentence.is_empty()) {
         finding.sentence = words.sentence(finding);
+    }
+    if let Some(expression) = &out.unknown.expression
+        && let Some(finding) = out.findings.iter_mut().find(|f| f.effect == "unknown")
+    {
+        finding.sentence +=
+            &format!(" A small expression holds on folds that had no part in choosing it: {expression}.");
     }
     out.verdict = words.verdict(&out);
     let mut model = model_file(m, &ctx, out.held_out.after_rms_nm.clone());
@@ -282,6 +293,8 @@ fn intervals(m: &Material<'_>, atom: &Atom) -> Vec<(String, f64, f64)> {
 
 /// Share of a joint's base mismatch that must be left unnamed, and explained by the black box, to be a finding.
 const UNKNOWN_SHARE: f64 = 0.15;
+/// Share of a joint's torque that an unnamed one must have where the base is fitted freely.
+const UNKNOWN_TORQUE: f64 = 0.03;
 /// Share of a joint's base mismatch that, left unnamed, is a finding even if no black box explains it.
 const UNEXPLAINED_SHARE: f64 = 0.4;
 
@@ -307,8 +320,16 @@ fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[
         if left.sqrt() > 3.0 * m.search.limits.floor_nm[j].max(0.6 * noise[j]) { left / all } else { 0.0 }
     };
     let most = (0..n).max_by(|a, b| over(*a).total_cmp(&over(*b))).unwrap_or(0);
-    let unexplained = over(most) > UNEXPLAINED_SHARE;
-    let by_box = size > 1.5 * m.search.limits.floor_nm[worst]
+    // Where the base is fitted freely nothing is claimed to be complete: drive noise is then no mystery.
+    let unexplained = ctx.nominal_base && over(most) > UNEXPLAINED_SHARE;
+    // A freely fitted base, whose parameters friction bends, is not exact to the last per cent.
+    let least = if ctx.nominal_base {
+        0.0
+    } else {
+        UNKNOWN_TORQUE * (m.base.torque.part[worst].iter().map(|v| v * v).sum::<f64>() / count(worst)).sqrt()
+    };
+    let by_box = size > least
+        && size > 1.5 * m.search.limits.floor_nm[worst]
         && own > UNKNOWN_SHARE
         && taken(worst) > 0.2 * rest.before[worst]
         && rest.folds[worst] > 0.6;
@@ -345,6 +366,7 @@ fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[
     let left = blocks.squares(&left_out(&m.search.layout.folds, &state.target, &columns, &state.fit));
     let boxed = blocks.squares(&rival::in_turn(m.search, ctx, &state.target, &columns, &state.fit));
     let (reduction, ci95) = blocks.reduction(&left, &boxed, &[worst]);
+    let expression = m.search.expression(ctx, &m.selection.model, &m.selection.state, worst);
     let finding = Finding {
         effect: "unknown".into(),
         joints: vec![joint.clone()],
@@ -366,7 +388,10 @@ fn unknown(m: &Material<'_>, ctx: &Context<'_>, rest: &Explained, before_rms: &[
         stage: "friction".into(),
         intervals_s: Vec::new(),
     };
-    (Unknown { flag, share, r#where: Some(where_), map: found.map(|f| f.1), expression: None }, Some(finding))
+    (
+        Unknown { flag, share, r#where: Some(where_), map: found.map(|f| f.1), expression: expression.map(|e| e.text) },
+        Some(finding),
+    )
 }
 
 /// Candidates that were looked at and not taken, with the reason.
@@ -382,6 +407,12 @@ fn excluded(m: &Material<'_>) -> Vec<Excluded> {
         let unit = m.scene.robot.torque_unit.symbol();
         let reason = if r.score.gain < 0.0 {
             format!("worsens the prediction of recordings left out (by {:.1} nats)", -r.score.gain)
+        } else if let Some((low, high)) = uneven(&r.score.by_fold) {
+            format!(
+                "is not uniform over the recordings: on parts left out it takes {:.0} % to {:.0} % off the residual",
+                100.0 * low,
+                100.0 * high
+            )
         } else if r.merit < 0.0 {
             format!("gains {:.1} nats on recordings left out, less than chance can ({:.3} {unit})", r.score.gain, size)
         } else {
@@ -390,4 +421,11 @@ fn excluded(m: &Material<'_>) -> Vec<Excluded> {
         out.push(Excluded { effect: id.to_owned(), reason });
     }
     out
+}
+
+/// Least and largest share taken off a fold, if they differ so much that the effect is not one thing everywhere.
+fn uneven(by_fold: &[f64]) -> Option<(f64, f64)> {
+    let low = by_fold.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = by_fold.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    (high > 0.03 && low < 0.4 * high).then_some((low, high))
 }

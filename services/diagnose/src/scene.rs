@@ -10,24 +10,17 @@
 //! | row | one sample after the filter, at the row rate | |
 //! | fold | rows left out together; at least [`MIN_FOLDS`] | |
 
-use crate::split::Split;
-use lacuna_estimation::filter::{
-    Interpolation, SpikeRule, Stencil, ZeroPhase, differentiate, noise_sd, regular_grid, remove_spikes, resample,
-    segments,
-};
-use lacuna_estimation::stats;
-use lacuna_interfaces::{BadInput, Recording, Repair, RepairKind, RobotFile};
-use lacuna_physics::{Motion, RigidBody};
-use std::ops::Range;
+mod band;
+mod cut;
+mod rows;
 
-/// Fewest folds; fewer recordings than this are cut.
-pub const MIN_FOLDS: usize = 5;
-/// Highest rate of the analysis [Hz]; faster recordings are thinned out.
-const MAX_RATE_HZ: f64 = 1000.0;
-/// Widest band [Hz].
-const MAX_BAND_HZ: f64 = 40.0;
-/// Narrowest band that is chosen without being asked for [Hz].
-const MIN_BAND_HZ: f64 = 8.0;
+use crate::split::Split;
+
+use lacuna_estimation::filter::{Stencil, ZeroPhase, differentiate};
+use lacuna_interfaces::{BadInput, Recording, Repair, RobotFile};
+use lacuna_physics::{Motion, RigidBody};
+pub use rows::MIN_FOLDS;
+use std::ops::Range;
 
 /// A stretch of one recording on a regular grid.
 #[derive(Debug, Clone)]
@@ -48,6 +41,10 @@ pub struct Piece {
     pub tau: Vec<Vec<f64>>,
     /// Temperatures [°C]; empty if not recorded.
     pub temperature: Vec<Vec<f64>>,
+    /// Link-side encoder positions of the first joints [rad]; empty if not recorded.
+    pub link_q: Vec<Vec<f64>>,
+    /// Torques of the joint torque sensors [Nm]; empty unless every joint has one.
+    pub sensor: Vec<Vec<f64>>,
     /// Whether the drive was on.
     pub enabled: Vec<bool>,
     /// Where its rows are.
@@ -142,7 +139,7 @@ impl Scene {
         let body = lacuna_physics::build(robot, urdf)?;
         let pi = body.nominal();
         let joints = robot.joint_count();
-        let rate_hz = common_rate(recordings)?;
+        let rate_hz = cut::common_rate(recordings)?;
         let mut repairs = Vec::new();
         let mut raw = Vec::new();
         let mut clock = 0.0;
@@ -153,7 +150,7 @@ impl Scene {
             }
             let global = how.start_s.get(i).copied().unwrap_or(clock);
             clock = global + recording.duration_s();
-            raw.extend(cut(robot, recording, i, global, rate_hz, &mut repairs)?);
+            raw.extend(cut::cut(robot, recording, i, global, rate_hz, &mut repairs)?);
         }
         if raw.is_empty() {
             return Err(BadInput::new(
@@ -165,7 +162,7 @@ impl Scene {
             Some(f) => {
                 return Err(BadInput::new(format!("band: found {f} Hz; expected 0 to {:.1} Hz", 0.45 * rate_hz)));
             }
-            None => choose_band(body.as_ref(), &pi, &raw, rate_hz),
+            None => band::choose(body.as_ref(), &pi, &raw, rate_hz),
         };
         let stride = ((rate_hz / (5.0 * band_hz)).round() as usize).max(1);
         let position_filter = ZeroPhase::butterworth(4, (2.0 * band_hz).min(0.45 * rate_hz), rate_hz)?;
@@ -176,6 +173,9 @@ impl Scene {
                 position_filter.apply_in_place(&mut piece.q[j])?;
                 piece.qd[j] = differentiate(&piece.q[j], 1.0 / rate_hz, Stencil::Seven, 1)?;
                 piece.qdd[j] = differentiate(&piece.q[j], 1.0 / rate_hz, Stencil::Seven, 2)?;
+            }
+            for link in &mut piece.link_q {
+                position_filter.apply_in_place(link)?;
             }
             let n = piece.len().div_ceil(stride);
             piece.rows = rows..rows + n;
@@ -214,74 +214,14 @@ impl Scene {
         Ok(scene)
     }
 
+    /// Whether every joint's torque was measured behind the gear too.
+    pub fn has_sensors(&self) -> bool {
+        self.pieces.iter().all(|p| p.sensor.len() == self.joints)
+    }
+
     /// Row rate [Hz].
     pub fn row_rate_hz(&self) -> f64 {
         self.rate_hz / self.stride as f64
-    }
-
-    /// Recordings of one number as a fold; without numbers whole recordings, too few of them cut.
-    fn make_folds(&self, recordings: usize, numbers: &[usize]) -> Vec<Range<usize>> {
-        if numbers.len() == recordings && !numbers.is_empty() {
-            let own = |n: usize| self.pieces.iter().filter(move |p| numbers.get(p.recording) == Some(&n));
-            let ends = |n: usize| Some(own(n).next()?.rows.start..own(n).next_back()?.rows.end);
-            return (0..=numbers.iter().copied().max().unwrap_or(0)).filter_map(ends).collect();
-        }
-        let mut whole: Vec<Range<usize>> = Vec::new();
-        for r in 0..recordings {
-            let mut own = self.pieces.iter().filter(|p| p.recording == r);
-            if let Some(first) = own.next() {
-                let end = own.next_back().map_or(first.rows.end, |p| p.rows.end);
-                whole.push(first.rows.start..end);
-            }
-        }
-        if whole.len() >= MIN_FOLDS {
-            return whole;
-        }
-        // Too few recordings: cut them, the longer ones into more parts.
-        let target = self.rows as f64 / (MIN_FOLDS + 1) as f64;
-        let mut out = Vec::new();
-        for r in whole {
-            let parts = ((r.len() as f64 / target).round() as usize).max(1);
-            for k in 0..parts {
-                out.push(r.start + k * r.len() / parts..r.start + (k + 1) * r.len() / parts);
-            }
-        }
-        out
-    }
-
-    /// Speed below which friction is in doubt: a small share of the typical speed, above the encoder's noise.
-    fn slow_speed(&self, j: usize) -> f64 {
-        let mut speeds: Vec<f64> =
-            self.pieces.iter().flat_map(|p| p.qd[j].iter().map(|v| v.abs())).filter(|v| *v > 1e-4).collect();
-        let typical = stats::quantile_in_place(&mut speeds, 0.75);
-        if typical.is_finite() { (0.04 * typical).clamp(1e-3, 0.05) } else { 0.05 }
-    }
-
-    /// Rows of joint `j` that count: drive on, faster than the slow speed, 25 ms away from slower samples.
-    fn moving(&self, j: usize) -> Vec<bool> {
-        let margin = (0.025 * self.rate_hz).round() as usize;
-        let edge = (3.0 * self.rate_hz / self.band_hz).round() as usize;
-        let mut mask = vec![false; self.rows];
-        for piece in &self.pieces {
-            let n = piece.len();
-            let mut ok = vec![true; n];
-            for k in 0..n {
-                if piece.qd[j][k].abs() < self.slow_rad_s[j] || !piece.enabled[k] {
-                    ok[k.saturating_sub(margin)..(k + margin + 1).min(n)].fill(false);
-                }
-            }
-            for (i, row) in piece.rows.clone().enumerate() {
-                let k = i * self.stride;
-                mask[row] = ok[k] && k >= edge && k + edge < n;
-            }
-        }
-        mask
-    }
-
-    /// Rows count above these speeds from now on [rad/s].
-    pub fn count_above(&mut self, slow_rad_s: &[f64]) {
-        self.slow_rad_s = slow_rad_s.to_vec();
-        self.mask = (0..self.joints).map(|j| self.moving(j)).collect();
     }
 
     /// Low-passes a full-rate signal as torques and regressors are; false if it cannot be.
@@ -428,137 +368,4 @@ pub fn constant(scene: &Scene, j: usize) -> Raw {
             out
         })
         .collect()
-}
-
-fn common_rate(recordings: &[Recording]) -> Result<f64, BadInput> {
-    let mut rates: Vec<f64> = recordings.iter().filter_map(Recording::median_period_s).map(|dt| 1.0 / dt).collect();
-    let rate = stats::median_in_place(&mut rates);
-    if !(rate.is_finite() && rate > 1.0) {
-        return Err(BadInput::new("recordings: found no usable sample rate; expected at least one recording"));
-    }
-    Ok(rate.min(MAX_RATE_HZ))
-}
-
-/// Cuts a recording at gaps, repairs spikes and puts it on the common grid.
-fn cut(
-    robot: &RobotFile,
-    recording: &Recording,
-    index: usize,
-    global_s: f64,
-    rate_hz: f64,
-    repairs: &mut Vec<Repair>,
-) -> Result<Vec<Piece>, BadInput> {
-    let joints = recording.q_rad.len();
-    repairs.extend(recording.repairs.iter().cloned());
-    let mut tau = recording.tau_nm.clone();
-    for (j, signal) in tau.iter_mut().enumerate() {
-        let count = remove_spikes(signal, &SpikeRule::default()).len() as u64;
-        if count > 0 {
-            let signal = format!("tau{}", j + 1);
-            repairs.push(Repair { file: recording.name.clone(), kind: RepairKind::Spike, signal, count });
-        }
-    }
-    let column = |name: &String| recording.extra.get(name).cloned();
-    let temperature: Vec<Vec<f64>> = match robot.columns.temperature.as_slice() {
-        [] => {
-            (1..=joints).filter_map(|j| column(&format!("temp{j}")).or_else(|| column(&format!("x_temp{j}")))).collect()
-        }
-        names => names.iter().filter_map(column).collect(),
-    };
-    let temperature = if temperature.len() == joints { temperature } else { Vec::new() };
-    let enabled = robot.columns.enabled.as_ref().and_then(column);
-    let native = recording.median_period_s().map_or(rate_hz, |dt| 1.0 / dt);
-    let gap = 8.0 / native;
-    let mut out = Vec::new();
-    for range in segments(&recording.t_s, gap) {
-        let t = &recording.t_s[range.clone()];
-        let (Some(first), Some(last)) = (t.first(), t.last()) else { continue };
-        if (last - first) * rate_hz < 64.0 {
-            continue;
-        }
-        let grid = regular_grid(*first, *last, 1.0 / rate_hz);
-        let even = t.len() == grid.len() && t.iter().zip(&grid).all(|(a, b)| (a - b).abs() < 0.02 / rate_hz);
-        let fit = |x: &[f64], how| -> Result<Vec<f64>, BadInput> {
-            let x = &x[range.clone()];
-            if even {
-                return Ok(x.to_vec());
-            }
-            if native > 1.5 * rate_hz {
-                // Thinning out: low-pass first, or what is above folds down.
-                let smooth = ZeroPhase::butterworth(4, 0.4 * rate_hz, native).and_then(|f| f.apply(x))?;
-                return Ok(resample(t, &smooth, &grid, how)?);
-            }
-            Ok(resample(t, x, &grid, how)?)
-        };
-        let all = |signals: &[Vec<f64>], how| signals.iter().map(|s| fit(s, how)).collect::<Result<Vec<_>, _>>();
-        let on = match &enabled {
-            Some(e) => fit(e, Interpolation::Linear)?.iter().map(|v| *v > 0.999).collect(),
-            None => vec![true; grid.len()],
-        };
-        out.push(Piece {
-            recording: index,
-            t0_s: *first,
-            global_s: global_s + first - recording.t_s.first().unwrap_or(first),
-            q: all(&recording.q_rad, Interpolation::Cubic)?,
-            qd: vec![Vec::new(); joints],
-            qdd: vec![Vec::new(); joints],
-            tau: all(&tau, Interpolation::Linear)?,
-            temperature: all(&temperature, Interpolation::Linear)?,
-            enabled: on,
-            rows: 0..0,
-        });
-    }
-    Ok(out)
-}
-
-/// The band in which the encoder's noise, twice differentiated and times the inertia, stays below half the
-/// torque's noise: (2πf)² = ½ √5 σ_τ / (M σ_q).
-fn choose_band(body: &dyn RigidBody, pi: &[f64], pieces: &[Piece], rate_hz: f64) -> f64 {
-    let n = body.joint_count();
-    let mut band = MAX_BAND_HZ;
-    let top = (rate_hz / 6.0).min(MAX_BAND_HZ);
-    for j in 0..n {
-        let sd = |signals: &dyn Fn(&Piece) -> &Vec<f64>| {
-            let mut all: Vec<f64> = pieces.iter().filter_map(|p| noise_sd(signals(p)).ok()).collect();
-            stats::median_in_place(&mut all)
-        };
-        let sd_q = sd(&|p| &p.q[j]);
-        let sd_tau = sd(&|p| &p.tau[j]);
-        let inertia = inertia_of(body, pi, pieces, j, rate_hz);
-        let f = (0.5 * 5f64.sqrt() * sd_tau / (inertia * sd_q)).sqrt() / std::f64::consts::TAU;
-        if f.is_finite() {
-            band = band.min(f);
-        }
-    }
-    band.clamp(MIN_BAND_HZ.min(top), top)
-}
-
-/// Own inertia of joint `j` at its median pose; if the robot file has no masses, from the torque's size.
-fn inertia_of(body: &dyn RigidBody, pi: &[f64], pieces: &[Piece], j: usize, rate_hz: f64) -> f64 {
-    let n = body.joint_count();
-    let q: Vec<f64> = (0..n)
-        .map(|i| stats::median(&pieces.iter().flat_map(|p| p.q[i].iter().copied().step_by(50)).collect::<Vec<_>>()))
-        .collect();
-    let zero = vec![0.0; n];
-    let mut unit = zero.clone();
-    unit[j] = 1.0;
-    let (mut with, mut without) = (zero.clone(), zero.clone());
-    let a = body.torque(&Motion { q_rad: &q, qd_rad_s: &zero, qdd_rad_s2: &unit }, pi, &mut with);
-    let b = body.torque(&Motion { q_rad: &q, qd_rad_s: &zero, qdd_rad_s2: &zero }, pi, &mut without);
-    if a.is_ok() && b.is_ok() && with[j] - without[j] > 1e-9 {
-        return with[j] - without[j];
-    }
-    // The slope of the torque over second differences of a tenth of a second, slow enough to be motion rather
-    // than noise. Gravity and friction bias it; a band needs no more than its order of magnitude.
-    let step = ((0.1 * rate_hz).round() as usize).max(1);
-    let (mut up, mut down) = (0.0, 0.0);
-    for p in pieces {
-        let mean = stats::mean(&p.tau[j]);
-        for (w, tau) in p.q[j].windows(2 * step + 1).zip(&p.tau[j][step.min(p.len())..]) {
-            let bend = (w[0] + w[2 * step] - 2.0 * w[step]) * (rate_hz / step as f64).powi(2);
-            up += bend * (tau - mean);
-            down += bend * bend;
-        }
-    }
-    (up / f64::max(down, 1e-30)).abs().max(1e-12)
 }

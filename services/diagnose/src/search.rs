@@ -49,6 +49,8 @@ pub struct Score {
     pub size_nm: Vec<f64>,
     /// Share of folds that gain, weighed by nothing.
     pub folds: f64,
+    /// What it takes off the residual of each fold, all joints by their weights [share of the root mean square].
+    pub by_fold: Vec<f64>,
 }
 
 /// The search over one scene.
@@ -126,6 +128,11 @@ impl<'a> Search<'a> {
     /// Fit of the model without some of its terms, at the same weights. Tolerances are held at their limits here
     /// too: else they would take the place of what is taken away.
     pub fn fit_without(&self, model: &Model, state: &State, gone: &[usize]) -> Option<Fit> {
+        self.model_without(model, state, gone).map(|(_, fit)| fit)
+    }
+
+    /// As [`Self::fit_without`], with the model that was fitted: what it holds at its limits may differ.
+    pub fn model_without(&self, model: &Model, state: &State, gone: &[usize]) -> Option<(Model, Fit)> {
         let mut rest = model.without(gone);
         let taken: Vec<&Atom> = gone.iter().filter_map(|i| model.atoms.get(*i)).collect();
         let gram = if taken.iter().any(|a| a.fixed) || (state.soft.is_none() && !model.clamped.is_empty()) {
@@ -150,7 +157,7 @@ impl<'a> Search<'a> {
                 break;
             }
         }
-        fit
+        Some((rest, fit?))
     }
 
     /// Target less the terms that act in full.
@@ -182,7 +189,7 @@ impl<'a> Search<'a> {
                 // One delay at a time: beside the effect the half sample of tolerance would fit differences of both.
                 BaseRole::Tolerance(name) if name == DELAY && delayed => 1e12,
                 BaseRole::Tolerance(_) => TOLERANCE_SD.powi(-2),
-                _ => 0.0,
+                _ => model.base[*i].precision,
             })
             .collect();
         out.extend(model.atoms.iter().flat_map(|a| vec![0.0; a.width()]));
@@ -220,7 +227,7 @@ impl<'a> Search<'a> {
     }
 
     /// Share of rows that are independent, from the autocorrelation of the residual.
-    fn independent_share(&self, r: &[f64], j: usize) -> f64 {
+    pub(crate) fn independent_share(&self, r: &[f64], j: usize) -> f64 {
         if r.is_empty() {
             return 0.3;
         }
@@ -295,15 +302,20 @@ impl<'a> Search<'a> {
             size_nm[j] = ((a - b) / count.max(1.0)).max(0.0).sqrt();
         }
         gain += old.prior_nats - new.prior_nats;
-        let better = old
+        // Joints that it does nothing to would only dilute what it does.
+        let most = (0..n).map(|j| state.weights[j] * size_nm[j].powi(2)).fold(0.0, f64::max);
+        let sum = |fold: &[f64]| -> f64 {
+            let acts = |j: &usize| state.weights[*j] * size_nm[*j].powi(2) >= 0.1 * most;
+            (0..n).filter(acts).map(|j| state.weights[j] * fold[j]).sum()
+        };
+        let by_fold: Vec<f64> = old
             .held_out
             .iter()
             .zip(&new.held_out)
-            .filter(|(a, b)| {
-                a.iter().zip(b.iter()).zip(&state.weights).map(|((a, b), w)| w * (a - b)).sum::<f64>() > 0.0
-            })
-            .count();
-        Score { gain, amplitude, size_nm, folds: better as f64 / old.held_out.len().max(1) as f64 }
+            .map(|(a, b)| 1.0 - (sum(b) / sum(a).max(1e-300)).max(0.0).sqrt())
+            .collect();
+        let folds = by_fold.iter().filter(|s| **s > 0.0).count() as f64 / by_fold.len().max(1) as f64;
+        Score { gain, amplitude, size_nm, folds, by_fold }
     }
 
     /// How large `size_nm` per joint is against what counts: noise, and the few per cent to which laws hold of what

@@ -3,7 +3,7 @@
 use crate::base::Base;
 use crate::context::context;
 use crate::families::Context;
-use crate::model::{BaseRole, Model};
+use crate::model::{Atom, BaseRole, Model};
 use crate::polish::Polish;
 use crate::rank::Ranked;
 use crate::search::{Search, State};
@@ -156,6 +156,7 @@ impl Search<'_> {
             top.extend(carries);
             top.extend(self.swung(&ctx, &model, &state));
             top.extend(self.contact(&ctx, &model, &state));
+            top.extend(self.ripple(&ctx, &model, &state, &banned));
             top.sort_by(|a, b| b.merit.total_cmp(&a.merit));
             for t in &top {
                 progress(
@@ -176,18 +177,32 @@ impl Search<'_> {
             let next_ctx = context(self.scene, base, self, &next, Some(&next_state));
             self.refresh(&next_ctx, &mut next, &mut next_state)?;
             // What looked good in passing must be good once all else is fitted beside it.
-            let (old, new) = (self.held_out_rms(&state), self.held_out_rms(&next_state));
+            let (old, mut new) = (self.held_out_rms(&state), self.held_out_rms(&next_state));
             let aim = largest(&best.score.size_nm);
-            if !self.families[best.atoms[0].family].event && new[aim] > 0.98 * old[aim] {
+            let worse = |rms: &[f64]| rms[aim] > 0.98 * old[aim];
+            if !self.families[best.atoms[0].family].event && worse(&new) && self.renew(base, &mut next)? {
+                next_state = self.fit(&mut next)?;
+                new = self.held_out_rms(&next_state);
+            }
+            if !self.families[best.atoms[0].family].event && worse(&new) {
                 progress(0.3, &format!("  taken back: {:.4} Nm at joint {} become {:.4}", old[aim], aim + 1, new[aim]));
                 banned.extend(best.atoms.iter().map(|a| (a.family, a.joint)));
                 continue;
             }
-            (model, state) = (next, next_state);
+            let last: Vec<Atom> = std::mem::replace(&mut model, next).atoms;
+            state = next_state;
             if model.atoms.len() > 1 {
                 self.polish(base, &mut model, &mut state, Polish { rounds: 1, driven: false })?;
             }
             self.prune(&mut model, &mut state, progress)?;
+            let alike = |x: &Atom, y: &Atom| {
+                let polished = self.families[x.family].refinable(&ctx, x.joint);
+                (x.family, x.joint) == (y.family, y.joint) && (polished || x.shape == y.shape)
+            };
+            if last.len() == model.atoms.len() && last.iter().all(|x| model.atoms.iter().any(|y| alike(x, y))) {
+                // It went as it came: it would come for ever.
+                banned.extend(best.atoms.iter().map(|a| (a.family, a.joint)));
+            }
             let entered = best.atoms.iter().map(|a| (a.family, a.joint));
             banned.extend(entered.filter(|e| !model.atoms.iter().any(|a| (a.family, a.joint) == *e)));
             ctx = context(self.scene, base, self, &model, Some(&state));
@@ -242,6 +257,29 @@ impl Search<'_> {
         }
         *state = self.fit(model)?;
         Some(())
+    }
+
+    /// Fits the shapes of delays anew, or takes them out where none helps: one that entered before may have stood
+    /// in for what has come since. False if there is none.
+    fn renew(&self, base: &Base, model: &mut Model) -> Option<bool> {
+        let delay = |a: &Atom| a.fixed && self.families[a.family].dynamic && !self.families[a.family].driven;
+        let Some(at) = model.atoms.iter().position(delay) else { return Some(false) };
+        let old = model.atoms.remove(at);
+        let state = self.fit(model)?;
+        let ctx = context(self.scene, base, self, model, Some(&state));
+        let mut best = self.rank(&ctx, model, &state, vec![self.refine(&ctx, model, &state, &old)]);
+        for shape in self.families[old.family].grid(&ctx, old.joint) {
+            let atom = self.atom(&ctx, old.family, old.joint, &shape);
+            let ranked = self.rank(&ctx, model, &state, vec![atom]);
+            if ranked.as_ref().map(|r| r.merit) > best.as_ref().map(|r| r.merit) {
+                best = ranked;
+            }
+        }
+        if let Some(ranked) = best.filter(|r| self.counts(&state, r)) {
+            let shaped = self.refined(&ctx, model, &state, &ranked);
+            model.atoms.extend(shaped.atoms);
+        }
+        Some(true)
     }
 
     /// A candidate in words.

@@ -110,7 +110,13 @@ impl Search<'_> {
                 let fit = self.fit_without(model, state, &[i])?;
                 let loss = self.compare(state, &fit, &state.fit, Vec::new());
                 let size = self.over_floor(state, &loss.size_nm);
-                let merit = loss.gain - self.limits.column * atom.width() as f64 - 0.5 * self.limits.entry[atom.family];
+                // Orders of one ripple share the doubt whether there is a ripple.
+                let alone =
+                    !model.atoms.iter().enumerate().any(|(k, a)| {
+                        k != i && a.family == atom.family && a.joint == atom.joint && a.carries.is_empty()
+                    });
+                let doubt = if alone { 0.5 * self.limits.entry[atom.family] } else { 0.0 };
+                let merit = loss.gain - self.limits.column * atom.width() as f64 - doubt;
                 let merit = if size < 0.8 && !self.families[atom.family].event { merit.min(-1.0) } else { merit };
                 if merit < 0.0 && worst.is_none_or(|(_, w)| merit < w) {
                     worst = Some((i, merit));

@@ -9,6 +9,9 @@ use crate::search::Search;
 use lacuna_estimation::stats;
 use rayon::prelude::*;
 
+/// How far back the black box sees [s].
+const LAGS_S: [f64; 3] = [0.01, 0.04, 0.15];
+
 /// What a black box sees of one joint.
 pub struct Features {
     /// Names as in [`Region`].
@@ -42,6 +45,14 @@ impl Search<'_> {
         push("q_rad".into(), scene.at_rows(|p, k| p.q[j][k]));
         push("qd_rad_s".into(), scene.at_rows(|p, k| p.qd[j][k]));
         push("qdd_rad_s2".into(), scene.at_rows(|p, k| p.qdd[j][k]));
+        // Friction and springs remember: a rival that sees the moment alone would lose for nothing.
+        for lag_s in LAGS_S {
+            let back = |k: usize| k.saturating_sub((lag_s * scene.rate_hz).round() as usize);
+            let ms = 1e3 * lag_s;
+            push(format!("qd_rad_s {ms} ms before"), scene.at_rows(|p, k| p.qd[j][back(k)]));
+            push(format!("qdd_rad_s2 {ms} ms before"), scene.at_rows(|p, k| p.qdd[j][back(k)]));
+            push(format!("load_nm {ms} ms before"), scene.at_rows(|p, k| ctx.link[index(p)][j][back(k)]));
+        }
         push("load_nm".into(), scene.at_rows(|p, k| ctx.link[index(p)][j][k]));
         let travel: Vec<Vec<f64>> = scene.pieces.iter().map(|p| since_reversal(&p.q[j], &p.qd[j])).collect();
         push("since_reversal_rad".into(), scene.at_rows(|p, k| travel[index(p)][k]));

@@ -133,10 +133,12 @@ fn story(f: &Finding) -> (String, String) {
             format!("friction as a share of the link torque{}", v(&["mu", "mu_v"])),
         ),
         "thermal_viscous" => (
-            format!("{who}: friction falls as the drive warms up"),
-            format!("viscous friction that changes with {}{}", if has("b_T") { "temperature" } else { "time" }, {
-                v(&["b", "b_T", "tau_w"])
-            }),
+            format!("{who}: friction changes as the drive warms up"),
+            format!(
+                "friction that changes with {}{}",
+                if has("b_T") || has("c_T") { "temperature" } else { "time" },
+                { v(&["b", "b_T", "c_T", "tau_w"]) }
+            ),
         ),
         "presliding" => (
             format!("{who}: after a reversal friction builds up over a distance, it does not jump"),

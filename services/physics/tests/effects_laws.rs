@@ -380,6 +380,8 @@ fn friction_by_hand() {
     s.start = 30.0;
     let p = [("b", 0.5), ("b_T", -0.01), ("tau_w", 60.0), ("T_ref", 20.0)];
     near(tau("thermal_viscous", &[2], &p, &c, &s)[2][0], 0.5 * (-0.5_f64).exp() * 2.0 - 0.01 * 5.0 * 2.0);
+    // Dry friction of -0.03 Nm/K, five kelvin warmer, forwards.
+    near(tau("thermal_viscous", &[2], &[("c_T", -0.03), ("T_ref", 20.0)], &c, &s)[2][0], -0.03 * 5.0);
 }
 
 /// Ripple repeats after one wave, N·h of them in a turn of the joint.

@@ -24,8 +24,8 @@ const NEIGHBOURHOOD: usize = 25;
 /// Indices of single-sample outliers, ascending.
 ///
 /// With e_k = x_k − (x_{k−1} + x_{k+1})/2, sample k is a spike if abs e_k exceeds `threshold` robust standard
-/// deviations of e, over the whole signal and within 25 samples around, exceeds `floor`, is the largest of
-/// its neighbours', and if with the sample replaced its neighbours are no outliers any more: a step or a
+/// deviations of e, over the whole signal (a quarter of a million samples of it, evenly, where there are more) and
+/// within 25 samples around, exceeds `floor`, is the largest of its neighbours', and if with the sample replaced its neighbours are no outliers any more: a step or a
 /// burst is a fact of the recording, not a spike. The first and last sample are never spikes. Samples that
 /// are not finite are spikes; they enter no statistic.
 pub fn find_spikes(x: &[f64], rule: &SpikeRule) -> Vec<usize> {
@@ -33,24 +33,26 @@ pub fn find_spikes(x: &[f64], rule: &SpikeRule) -> Vec<usize> {
     if n < 5 {
         return Vec::new();
     }
-    let e: Vec<f64> =
-        (0..n).map(|k| if k == 0 || k + 1 == n { 0.0 } else { x[k] - 0.5 * (x[k - 1] + x[k + 1]) }).collect();
-    let global = robust_scale(&mut e[1..n - 1].iter().map(|v| v.abs()).filter(|v| v.is_finite()).collect::<Vec<_>>());
+    // Computed where needed: a copy of a long recording's column is no small matter.
+    let e = |k: usize| if k == 0 || k + 1 >= n { 0.0 } else { x[k] - 0.5 * (x[k - 1] + x[k + 1]) };
+    let step = (n - 2).div_ceil(MOST_SAMPLED);
+    let global =
+        robust_scale(&mut (1..n - 1).step_by(step).map(|k| e(k).abs()).filter(|v| v.is_finite()).collect::<Vec<_>>());
     let mut found = Vec::new();
     for k in 1..n - 1 {
         if !x[k].is_finite() {
             found.push(k);
             continue;
         }
-        let size = e[k].abs();
+        let size = e(k).abs();
         // A neighbour that is not finite makes e_k useless.
         if !size.is_finite() || size <= rule.floor || size <= rule.threshold * global {
             continue;
         }
-        if size < e[k - 1].abs() || size < e[k + 1].abs() {
+        if size < e(k - 1).abs() || size < e(k + 1).abs() {
             continue;
         }
-        let limit = rule.threshold * local_scale(&e, k).max(global);
+        let limit = rule.threshold * local_scale(&e, n, k).max(global);
         let mended = 0.5 * (x[k - 1] + x[k + 1]);
         let left = if k >= 2 { (x[k - 1] - 0.5 * (x[k - 2] + mended)).abs() } else { 0.0 };
         let right = if k + 2 < n { (x[k + 1] - 0.5 * (mended + x[k + 2])).abs() } else { 0.0 };
@@ -63,6 +65,9 @@ pub fn find_spikes(x: &[f64], rule: &SpikeRule) -> Vec<usize> {
     found
 }
 
+/// Samples from which the scale of the whole signal is known well enough.
+const MOST_SAMPLED: usize = 250_000;
+
 /// Standard deviation from absolute deviations: 1.4826 × median, or from the 90 % point where most are zero.
 fn robust_scale(size: &mut [f64]) -> f64 {
     let middle = MAD_TO_SD * median_in_place(size);
@@ -73,10 +78,10 @@ fn robust_scale(size: &mut [f64]) -> f64 {
     if upper.is_finite() { upper } else { 0.0 }
 }
 
-fn local_scale(e: &[f64], k: usize) -> f64 {
-    let range = k.saturating_sub(NEIGHBOURHOOD)..(k + NEIGHBOURHOOD + 1).min(e.len());
+fn local_scale(e: &impl Fn(usize) -> f64, len: usize, k: usize) -> f64 {
+    let range = k.saturating_sub(NEIGHBOURHOOD)..(k + NEIGHBOURHOOD + 1).min(len);
     let mut size: Vec<f64> =
-        range.filter(|i| i.abs_diff(k) > 1).map(|i| e[i].abs()).filter(|v| v.is_finite()).collect();
+        range.filter(|i| i.abs_diff(k) > 1).map(|i| e(i).abs()).filter(|v| v.is_finite()).collect();
     robust_scale(&mut size)
 }
 

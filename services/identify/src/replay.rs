@@ -23,6 +23,7 @@ pub fn replay(
     each: &mut dyn FnMut(&FrictionTorque),
 ) -> Result<Vec<Repair>, BadInput> {
     let config = SourceConfig {
+        interface: None,
         recording: vec![path.to_path_buf()],
         rate: Rate::Max,
         from_s: 0.0,

@@ -9,8 +9,8 @@ use lacuna_physics::{Motion, RigidBody};
 const MAX_BAND_HZ: f64 = 40.0;
 /// Narrowest band that is chosen without being asked for [Hz].
 const MIN_BAND_HZ: f64 = 8.0;
-/// Share of the torque's size that counts as its noise where the signal itself is cleaner: a current that the
-/// drive has smoothed would otherwise ask for an encoder without noise.
+/// Share of the torque's size that counts as its noise where the signal itself is cleaner and the inertia only a
+/// guess: a current that the drive has smoothed would otherwise ask for an encoder without noise.
 const CLEAN: f64 = 0.0005;
 
 /// The band in which the encoder's noise, twice differentiated and times the inertia, stays below half the
@@ -26,8 +26,11 @@ pub(super) fn choose(body: &dyn RigidBody, pi: &[f64], pieces: &[Piece], rate_hz
         };
         let sd_q = sd(&|p| &p.q[j]);
         let mut sizes: Vec<f64> = pieces.iter().map(|p| stats::standard_deviation(&p.tau[j])).collect();
-        let sd_tau = sd(&|p| &p.tau[j]).max(CLEAN * stats::median_in_place(&mut sizes));
-        let inertia = inertia_of(body, pi, pieces, j, rate_hz);
+        let mut sd_tau = sd(&|p| &p.tau[j]);
+        let inertia = stated_inertia(body, pi, pieces, j).unwrap_or_else(|| {
+            sd_tau = sd_tau.max(CLEAN * stats::median_in_place(&mut sizes));
+            slope_inertia(pieces, j, rate_hz)
+        });
         let f = (0.5 * 5f64.sqrt() * sd_tau / (inertia * sd_q)).sqrt() / std::f64::consts::TAU;
         if f.is_finite() {
             band = band.min(f);
@@ -36,8 +39,8 @@ pub(super) fn choose(body: &dyn RigidBody, pi: &[f64], pieces: &[Piece], rate_hz
     band.clamp(MIN_BAND_HZ.min(top), top)
 }
 
-/// Own inertia of joint `j` at its median pose; if the robot file has no masses, from the torque's size.
-fn inertia_of(body: &dyn RigidBody, pi: &[f64], pieces: &[Piece], j: usize, rate_hz: f64) -> f64 {
+/// Own inertia of joint `j` at its median pose by the robot file; `None` if that has no masses.
+fn stated_inertia(body: &dyn RigidBody, pi: &[f64], pieces: &[Piece], j: usize) -> Option<f64> {
     let n = body.joint_count();
     let q: Vec<f64> = (0..n)
         .map(|i| stats::median(&pieces.iter().flat_map(|p| p.q[i].iter().copied().step_by(50)).collect::<Vec<_>>()))
@@ -48,11 +51,13 @@ fn inertia_of(body: &dyn RigidBody, pi: &[f64], pieces: &[Piece], j: usize, rate
     let (mut with, mut without) = (zero.clone(), zero.clone());
     let a = body.torque(&Motion { q_rad: &q, qd_rad_s: &zero, qdd_rad_s2: &unit }, pi, &mut with);
     let b = body.torque(&Motion { q_rad: &q, qd_rad_s: &zero, qdd_rad_s2: &zero }, pi, &mut without);
-    if a.is_ok() && b.is_ok() && with[j] - without[j] > 1e-9 {
-        return with[j] - without[j];
-    }
-    // The slope of the torque over second differences of a tenth of a second, slow enough to be motion rather
-    // than noise. Gravity and friction bias it; a band needs no more than its order of magnitude.
+    let own = with[j] - without[j];
+    (a.is_ok() && b.is_ok() && own > 1e-9).then_some(own)
+}
+
+/// Inertia of joint `j` from its torque: the slope over second differences of a tenth of a second, slow enough to
+/// be motion rather than noise. Gravity and friction bias it; a band needs no more than its order of magnitude.
+fn slope_inertia(pieces: &[Piece], j: usize, rate_hz: f64) -> f64 {
     let step = ((0.1 * rate_hz).round() as usize).max(1);
     let (mut up, mut down) = (0.0, 0.0);
     for p in pieces {

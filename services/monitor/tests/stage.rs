@@ -141,7 +141,8 @@ fn a_mismatch_raises_its_own_joint_soon_and_is_told_where() {
         let (first, alarms) = run(&mut stage, &mut motion, delay_s, extra);
         assert!(!alarms.is_empty() && alarms.iter().all(|a| a.0 == 1), "{what}: {alarms:?}, score {:?}", first.score);
         let since_s = first.since_ns[1] as f64 * 1e-9;
-        assert!((59.0..60.0 + delay_s).contains(&since_s), "{what}: onset at {since_s}");
+        // The evidence may happen to be on its way up from noise when the mismatch begins.
+        assert!((57.0..60.0 + delay_s).contains(&since_s), "{what}: onset at {since_s}");
         assert!(first.header.has(flag::MISMATCH));
         let Some((variable, low, high)) = place else {
             // It passed: the alarm ends by itself and does not come back.

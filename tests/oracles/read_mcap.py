@@ -11,6 +11,7 @@ since JSON readers may round.
 """
 
 import json
+import struct
 import sys
 
 
@@ -24,7 +25,7 @@ def plain(value):
         return plain(value.tolist())
     if isinstance(value, float):
         return repr(value)
-    if isinstance(value, (list, tuple)):
+    if isinstance(value, (list, tuple, bytes)):
         return [plain(v) for v in value]
     raise TypeError(f"no JSON for {type(value)}")
 
@@ -97,8 +98,8 @@ def read_linear(path):
                         schema = schemas[channel.schema_id]
                         decoders[channel.id] = factory.decoder_for(channel.message_encoding, schema)
                     found.add(channel.topic, record.log_time, decoders[channel.id](record.data))
-        except (McapError, EOFError):
-            pass  # the file stops here
+        except (McapError, EOFError, struct.error):
+            pass  # the file stops here, perhaps within a number
     return found
 
 

@@ -84,7 +84,8 @@ fn a_short_soak_balances_its_counts() {
     for edge in soak["edges"].as_array().expect("edges") {
         assert_eq!(edge["dropped"], edge["gaps"], "{edge}");
     }
-    assert_eq!(soak["processes"].as_array().map(Vec::len), Some(7));
+    // Seven stages, the monitor among them, and the supervisor.
+    assert_eq!(soak["processes"].as_array().map(Vec::len), Some(8));
 }
 
 #[test]

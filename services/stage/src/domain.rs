@@ -73,14 +73,34 @@ impl RunDir {
     /// Removes everything the run's domain left in shared memory. Call it when no process of the run is left.
     pub fn remove_domain(&self) {
         let _ = std::fs::remove_dir_all(self.shm_root());
-        let Some(prefix) = self.path.file_name().and_then(|n| n.to_str()).map(|n| format!("{n}_")) else { return };
-        if let Ok(entries) = std::fs::read_dir(SHM) {
-            for entry in entries.flatten() {
-                if entry.file_name().to_str().is_some_and(|n| n.starts_with(&prefix)) {
-                    let _ = std::fs::remove_file(entry.path());
+        for path in self.shm_files() {
+            let _ = std::fs::remove_file(path);
+        }
+    }
+
+    /// The domain's segments in shared memory.
+    fn shm_files(&self) -> Vec<PathBuf> {
+        let Some(prefix) = self.path.file_name().and_then(|n| n.to_str()).map(|n| format!("{n}_")) else {
+            return Vec::new();
+        };
+        let Ok(entries) = std::fs::read_dir(SHM) else { return Vec::new() };
+        let own = entries.flatten().filter(|e| e.file_name().to_str().is_some_and(|n| n.starts_with(&prefix)));
+        own.map(|e| e.path()).collect()
+    }
+
+    /// iceoryx2 0.10 makes one segment of a domain, the count of its nodes, for everybody to read and write: its
+    /// owner's alone from here on.
+    fn close_node_count(&self) -> Result<(), Failure> {
+        use std::os::unix::fs::PermissionsExt;
+        for path in self.shm_files().iter().filter(|p| p.extension().is_some_and(|e| e == "global_mgmt")) {
+            match std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600)) {
+                Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(Failure::run(format!("{}: cannot restrict to its owner: {e}", path.display())));
                 }
+                _ => {}
             }
         }
+        Ok(())
     }
 }
 
@@ -117,6 +137,7 @@ impl Domain {
             .signal_handling_mode(SignalHandlingMode::Disabled)
             .create::<ipc::Service>()
             .map_err(|e| fail(&e))?;
+        run.close_node_count()?;
         Ok(Self { node })
     }
 

@@ -296,7 +296,7 @@ fn info_says_what_is_in_a_csv() {
     bench.write("picture.png", "png");
     refused(&bench.lacuna(&["info", "picture.png"]), &["picture.png", ".png"]);
     bench.write("not.mcap", "text");
-    refused(&bench.lacuna(&["info", "not.mcap"]), &["not.mcap", "MCAP"]);
+    refused(&bench.lacuna(&["info", "not.mcap"]), &["not.mcap", "mcap signature"]);
 }
 
 /// A JointState of three joints in CDR, little endian.

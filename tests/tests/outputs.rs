@@ -57,9 +57,10 @@ fn the_graph_and_the_offline_stages_give_the_same_table_2_and_payload() {
             let line = demo.lines().find(|l| l.contains(&head)).unwrap_or_else(|| panic!("{head} in:\n{demo}"));
             assert!(line.contains(&words), "graph: {line}; offline: {words}");
         }
-        // The simulated torque has no model error: the estimator alone, and it is as quick as it can be.
-        assert!((at("mass_kg") / event.mass - 1.0).abs() < 0.03);
+        // The paper's model errs by some tenths of a newton metre, which the first, short carry shows most (4 %).
+        assert!((at("mass_kg") / event.mass - 1.0).abs() < 0.05);
     }
+    // The simulated torque has no model error: the estimator alone, and it is as quick as it can be.
     let simulated = runs[0]["simulated"].as_array().expect("from the simulated torque");
     for interval in simulated {
         let mass = interval["mass_kg"].as_f64().expect("mass");

@@ -1,4 +1,4 @@
-//! `docs/RESULTS.md`.
+//! The document of results.
 
 use crate::section::Section;
 

@@ -17,7 +17,6 @@ use std::time::{Duration, Instant};
 
 /// Samples taken from one topic before the next one is looked at.
 const BURST: usize = 64;
-const WAIT: Duration = Duration::from_millis(100);
 const OPEN_TIMEOUT: Duration = Duration::from_secs(10);
 
 macro_rules! messages {
@@ -136,7 +135,7 @@ pub fn run_sink<S: Sink>() -> ExitCode {
 
 fn body<S: Sink>(process: &Process) -> Result<StageReport, Failure> {
     let domain = process.domain()?;
-    let wake = Wake::open(&domain, &process.node.name)?;
+    let mut wake = Wake::open(&domain, &process.node.name)?;
     let mut inputs = open_inputs(&domain, process)?;
     let topics: Vec<(String, &'static str)> =
         inputs.iter().flatten().map(|i| (i.counts().0.to_owned(), i.message())).collect();
@@ -164,7 +163,7 @@ fn body<S: Sink>(process: &Process) -> Result<StageReport, Failure> {
     let mut report = StageReport::default();
     let mut latency = LatencyMeter::new();
     let mut pulse = Pulse::new();
-    let result = pump(process, &mut sink, &mut inputs, &wake, &mut report, &mut latency, &mut pulse);
+    let result = pump(process, &mut sink, &mut inputs, &mut wake, &mut report, &mut latency, &mut pulse);
     let finished = sink.finish(result.is_ok()).map_err(Failure::run);
     result?;
     report.details = finished?;
@@ -206,7 +205,7 @@ fn pump<S: Sink>(
     process: &Process,
     sink: &mut S,
     inputs: &mut [Option<AnyInput>],
-    wake: &Wake,
+    wake: &mut Wake,
     report: &mut StageReport,
     latency: &mut LatencyMeter,
     pulse: &mut Pulse,
@@ -246,7 +245,7 @@ fn pump<S: Sink>(
         }
         if taken == 0 && inputs.iter().any(Option::is_some) {
             sink.idle();
-            wake.wait(WAIT);
+            wake.wait();
         }
         let samples = inputs.iter().flatten().map(|i| i.counts().1).max().unwrap_or(0);
         let missing = report.missing + inputs.iter().flatten().map(|i| i.counts().2).sum::<u64>();

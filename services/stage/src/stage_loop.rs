@@ -8,11 +8,9 @@ use crate::process::{Failure, Process, Pulse, main_with};
 use lacuna_interfaces::graph::Mode;
 use lacuna_interfaces::{Stage, StageContext, Wire, flag};
 use std::process::ExitCode;
-use std::time::Duration;
 
 /// Samples handled between two looks at the stop flag and the progress clock.
 const BURST: usize = 256;
-const WAIT: Duration = Duration::from_millis(100);
 
 /// `main` of a stage process.
 pub fn run_stage<S: Stage>() -> ExitCode {
@@ -25,7 +23,7 @@ fn body<S: Stage>(process: &Process) -> Result<StageReport, Failure> {
     let mut stage = S::new(process.config()?, &context)
         .map_err(|e| Failure::usage(format!("node \"{}\": {e}", process.node.name)))?;
     let domain = process.domain()?;
-    let wake = Wake::open(&domain, &process.node.name)?;
+    let mut wake = Wake::open(&domain, &process.node.name)?;
     let mut input = Input::<S::Input>::open(&domain, &process.graph, process.single_input()?)?;
     let topic = process
         .node
@@ -47,7 +45,7 @@ fn body<S: Stage>(process: &Process) -> Result<StageReport, Failure> {
                 None if ended => break 'stream,
                 None => {
                     output.flush();
-                    wake.wait(WAIT);
+                    wake.wait();
                     break;
                 }
                 Some(Received::End) => break 'stream,

@@ -120,10 +120,18 @@ fn open_wake(domain: &Domain, node: &str) -> Result<event::PortFactory<ipc::Serv
     }
 }
 
+/// How long a reader sleeps at first. In iceoryx2 0.10 a ring can be lost when it comes while the listener empties
+/// its socket, and all further rings are then held back as "already notified" until the listener looks again by
+/// itself (eclipse-iceoryx/iceoryx2 issue 1811): the sleep bounds that stall.
+const SHORTEST_SLEEP: Duration = Duration::from_millis(1);
+/// How long it sleeps once nothing has come for a while. A signal ends it, too.
+const LONGEST_SLEEP: Duration = Duration::from_millis(100);
+
 /// The bell that writers ring for one reading node.
 #[derive(Debug)]
 pub struct Wake {
     listener: Listener<ipc::Service>,
+    sleep: Duration,
 }
 
 impl Wake {
@@ -136,14 +144,17 @@ impl Wake {
             .listener_builder()
             .create()
             .map_err(|e| Failure::run(format!("wake-up of node \"{node}\": {e:?}")))?;
-        Ok(Self { listener })
+        Ok(Self { listener, sleep: SHORTEST_SLEEP })
     }
 
-    /// Sleeps until a writer rings, a signal arrives or `timeout` passes. Drain the inputs before and after.
-    pub fn wait(&self, timeout: Duration) {
-        // An interrupt is a signal; the caller looks at its stop flag next. Other errors end as a timeout.
-        if self.listener.timed_wait(|_| {}, timeout).is_err() {
-            std::thread::sleep(Duration::from_micros(100));
+    /// Sleeps until a writer rings, a signal arrives or a while passes: short after a ring, longer the longer nothing
+    /// came. Drain the inputs before and after.
+    pub fn wait(&mut self) {
+        match self.listener.timed_wait(|_| {}, self.sleep) {
+            Ok(0) => self.sleep = (2 * self.sleep).min(LONGEST_SLEEP),
+            Ok(_) => self.sleep = SHORTEST_SLEEP,
+            // An interrupt is a signal; the caller looks at its stop flag next. Other errors end as a timeout.
+            Err(_) => std::thread::sleep(Duration::from_micros(100)),
         }
     }
 }

@@ -94,6 +94,9 @@ impl Clock {
     }
 }
 
+/// What a recording's end says is missing of the last stage of the campaign's graph.
+const LAST_STREAM: &str = "missing.monitor";
+
 /// When source and recorder were down [ms on CLOCK_MONOTONIC], from the kill to the first sample of the next process.
 struct Downtimes {
     source: Vec<(f64, f64)>,
@@ -141,9 +144,9 @@ fn count_holes(file: &File, rate_hz: f64, found: &mut Recorded, problems: &mut V
         }
     }
     if let Some(said) = &file.said {
-        // What is missing early in the chain is missing in every stream after it.
-        let counts = said.iter().filter(|(key, _)| key.starts_with("missing."));
-        let count: u64 = counts.filter_map(|(_, n)| n.parse().ok()).max().unwrap_or(0);
+        // The stream that the status belongs to; one that runs ahead of it, as the smoother's input does, lacks
+        // more when the recorder comes back in the middle.
+        let count: u64 = said.get(LAST_STREAM).and_then(|n| n.parse().ok()).unwrap_or(0);
         if count != missing {
             problems
                 .push(format!("the file says that {count} samples of its last stream are missing; found {missing}"));

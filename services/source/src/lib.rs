@@ -3,6 +3,7 @@
 //! Pure: it reads and says when a sample is due; waiting until then is the process's business. One or more
 //! recordings run one after the other under one sequence 1, 2, 3, …; memory stays constant.
 
+pub mod steady;
 pub mod tap;
 
 use lacuna_interfaces::{BadInput, JointMeasured, Repair, RobotFile, flag};

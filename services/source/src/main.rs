@@ -63,6 +63,7 @@ impl Source for Process {
                     "frames_damaged": damaged,
                     "frames_dropped_by_kernel": tap.dropped(),
                     "samples_refused": refused,
+                    "clock_steps": tap.clock_steps(),
                 })
             }
         }

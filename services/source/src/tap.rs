@@ -3,6 +3,7 @@
 //! It listens only (an AF_PACKET socket, nothing is sent) and needs the right to do so (CAP_NET_RAW). What the kernel had
 //! to drop because nobody read in time is counted, and the sample after it flagged as after a gap.
 
+use crate::steady::Steady;
 use lacuna_interfaces::{BadInput, JointMeasured, Repair, RobotFile, flag};
 use lacuna_recording::Sample;
 use lacuna_recording::condition::{Conditioner, Verdict};
@@ -31,6 +32,7 @@ pub struct Tap {
     socket: OwnedFd,
     interface: String,
     cycles: Cycles,
+    steady: Steady,
     judge: Conditioner,
     ready: VecDeque<Sample>,
     frame: Vec<u8>,
@@ -87,6 +89,7 @@ impl Tap {
             socket,
             interface: interface.to_owned(),
             cycles,
+            steady: Steady::new(),
             judge: Conditioner::new(robot),
             ready: VecDeque::with_capacity(4),
             frame: vec![0; FRAME_BYTES],
@@ -110,7 +113,7 @@ impl Tap {
             while let Some(sample) = self.ready.pop_front() {
                 let mut m = sample.measured;
                 m.header.joints = self.joints;
-                // A clock that was set back, or a value that no robot has: left out and counted, the stream goes on.
+                // A value that no robot has: left out and counted, the stream goes on.
                 match self.judge.judge(&mut m) {
                     Ok(Verdict::Keep) => {}
                     Ok(Verdict::Drop) => continue,
@@ -159,6 +162,8 @@ impl Tap {
         }
         self.frames += 1;
         let (Some(stamp_ns), Some(data)) = (stamp_ns, self.frame.get(..bytes)) else { return Ok(true) };
+        let now = self.steady.now();
+        let stamp_ns = self.steady.stamp(stamp_ns, now);
         let Ok(Some(frame)) = Frame::parse(data) else { return Ok(true) };
         for datagram in frame.datagrams() {
             let Ok(datagram) = datagram else {
@@ -195,6 +200,11 @@ impl Tap {
     /// Frames received, frames that contradict their own lengths, and samples refused as impossible.
     pub fn frames(&self) -> [u64; 3] {
         [self.frames, self.damaged, self.refused]
+    }
+
+    /// How often the machine's clock was set so far; the stamps do not follow it.
+    pub fn clock_steps(&self) -> u64 {
+        self.steady.steps()
     }
 
     /// What was left out or repaired so far.

@@ -146,8 +146,37 @@ impl Base {
             let role = BaseRole::Parameter(symbols[i].symbol.clone());
             base.columns.push(BaseColumn { role, raw: Raw::new(), column, precision: 0.0 });
         }
+        base.fit_widths(scene);
         base.hold_weakly(scene);
         base
+    }
+
+    /// Fits the travel of each joint's friction state once more, now beside all other columns: against the whole torque
+    /// of an arm, gravity and inertia hide what happens at a reversal.
+    fn fit_widths(&mut self, scene: &Scene) {
+        for _ in 0..2 {
+            let parts: Vec<&[Vec<f64>]> = self.columns.iter().map(|c| c.column.part.as_slice()).collect();
+            let Some(weight) = joint_weights(&parts, &self.target.part) else { return };
+            for j in 0..scene.joints {
+                let Some(own) = self.columns.iter().position(|c| c.role == BaseRole::Coulomb(j)) else { continue };
+                let others = self.columns.iter().enumerate().filter(|(i, _)| *i != own);
+                let others: Vec<&[Vec<f64>]> = others.map(|(_, c)| c.column.part.as_slice()).collect();
+                let Some(fit) = Beside::new(&others, &self.target.part, &weight) else { continue };
+                let best = WIDTHS.into_iter().map(|width| (fit.gain(j, &state(scene, j, width)), width));
+                let (gain, width) = best.fold((0.0, self.width[j]), |a, b| if b.0 > 1.001 * a.0 { b } else { a });
+                if gain > 0.0 {
+                    self.width[j] = width;
+                }
+            }
+            self.stick = sticks(scene, &self.width);
+            for j in 0..scene.joints {
+                let raw = only(scene, &self.stick, j);
+                if let Some(own) = self.columns.iter_mut().find(|c| c.role == BaseRole::Coulomb(j)) {
+                    own.column = scene.column(raw.clone());
+                    own.raw = raw;
+                }
+            }
+        }
     }
 
     /// Gives every column of a freely fitted base a weak prior: a coefficient whose torque is as large as all the
@@ -282,23 +311,27 @@ fn independent(fixed: &[&Column], columns: &[Column]) -> Vec<usize> {
     keep.iter().map(|i| i - fixed.len()).collect()
 }
 
+/// Travels that are tried [rad].
+const WIDTHS: [f64; 5] = [2e-5, 1e-4, 3e-4, 1e-3, 3e-3];
+
+/// Joint `j`'s friction state at a width, at the rows.
+fn state(scene: &Scene, j: usize, width: f64) -> Vec<f64> {
+    let one = |p: &crate::scene::Piece| {
+        let mut out = vec![Vec::new(); scene.joints];
+        out[j] = bristle(&p.q[j], width);
+        out
+    };
+    let states: Raw = scene.pieces.iter().map(one).collect();
+    std::mem::take(&mut scene.column(states).part[j])
+}
+
 /// Travel of the bristle that fits best with viscous friction beside it.
 fn fit_width(scene: &Scene, target: &Column, speeds: &Raw, j: usize) -> f64 {
     let y = &target.part[j];
     let v = scene.column(only(scene, speeds, j)).part[j].clone();
     let mut best = (f64::INFINITY, 1e-4);
-    for width in [2e-5, 1e-4, 3e-4, 1e-3, 3e-3] {
-        let states: Raw = scene
-            .pieces
-            .iter()
-            .map(|p| {
-                let mut out = vec![Vec::new(); scene.joints];
-                out[j] = bristle(&p.q[j], width);
-                out
-            })
-            .collect();
-        let s = &scene.column(states).part[j];
-        let rest = two_column_rest(y, &v, s);
+    for width in WIDTHS {
+        let rest = two_column_rest(y, &v, &state(scene, j, width));
         if rest < best.0 * 0.999 {
             best = (rest, width);
         }
@@ -306,9 +339,68 @@ fn fit_width(scene: &Scene, target: &Column, speeds: &Raw, j: usize) -> f64 {
     best.1
 }
 
+fn dot(x: &[f64], y: &[f64]) -> f64 {
+    x.iter().zip(y).map(|(x, y)| x * y).sum()
+}
+
+/// One over each joint's mean square residual on `columns`.
+fn joint_weights(columns: &[&[Vec<f64>]], target: &[Vec<f64>]) -> Option<Vec<f64>> {
+    let mean_square = |v: &[f64]| (dot(v, v) / v.len().max(1) as f64).max(1e-12);
+    let first: Vec<f64> = target.iter().map(|y| 1.0 / mean_square(y)).collect();
+    let beta = Beside::new(columns, target, &first)?.coefficients;
+    let rest = target.iter().enumerate().map(|(j, y)| {
+        let mut rest = y.clone();
+        for (column, b) in columns.iter().zip(beta.iter()) {
+            // A column that does not act on a joint has no rows there.
+            rest.iter_mut().zip(&column[j]).for_each(|(r, x)| *r -= b * x);
+        }
+        1.0 / mean_square(&rest)
+    });
+    Some(rest.collect())
+}
+
+/// A weighted least-squares fit on some columns, to ask what one more would gain.
+struct Beside<'a> {
+    columns: &'a [&'a [Vec<f64>]],
+    target: &'a [Vec<f64>],
+    weight: &'a [f64],
+    factor: nalgebra::Cholesky<f64, nalgebra::Dyn>,
+    coefficients: nalgebra::DVector<f64>,
+}
+
+impl<'a> Beside<'a> {
+    fn new(columns: &'a [&'a [Vec<f64>]], target: &'a [Vec<f64>], weight: &'a [f64]) -> Option<Self> {
+        let n = columns.len();
+        let product = |a: &[Vec<f64>], b: &[Vec<f64>]| -> f64 {
+            a.iter().zip(b).zip(weight).map(|((x, y), w)| w * dot(x, y)).sum()
+        };
+        let mut gram =
+            nalgebra::DMatrix::from_fn(n, n, |r, c| if c <= r { product(columns[r], columns[c]) } else { 0.0 });
+        for r in 0..n {
+            // Columns that the motion hardly tells apart are held, not resolved.
+            gram[(r, r)] = gram[(r, r)] * (1.0 + 1e-9) + 1e-12;
+            for c in 0..r {
+                gram[(c, r)] = gram[(r, c)];
+            }
+        }
+        let right = nalgebra::DVector::from_fn(n, |r, _| product(columns[r], target));
+        let factor = gram.cholesky()?;
+        let coefficients = factor.solve(&right);
+        Some(Self { columns, target, weight, factor, coefficients })
+    }
+
+    /// By how much the weighted sum of squares falls if joint `j` gets `column` besides.
+    fn gain(&self, j: usize, column: &[f64]) -> f64 {
+        let w = self.weight[j];
+        let along = nalgebra::DVector::from_fn(self.columns.len(), |r, _| w * dot(&self.columns[r][j], column));
+        let left = w * dot(column, column) - along.dot(&self.factor.solve(&along));
+        let toward = w * dot(column, &self.target[j]) - along.dot(&self.coefficients);
+        if left > 1e-9 * w * dot(column, column) { toward * toward / left } else { 0.0 }
+    }
+}
+
 /// Residual sum of squares of y on two columns.
 fn two_column_rest(y: &[f64], a: &[f64], b: &[f64]) -> f64 {
-    let dot = |x: &[f64], y: &[f64]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
     let (aa, ab, bb, ya, yb) = (dot(a, a), dot(a, b), dot(b, b), dot(y, a), dot(y, b));
     let det = aa * bb - ab * ab;
     if det <= 1e-12 * aa * bb {

@@ -32,7 +32,8 @@ impl Search<'_> {
     /// The best explanation by payload carries, if there is any.
     pub fn carries(&self, ctx: &Context<'_>, model: &Model, state: &State) -> Option<Ranked> {
         let family = self.families.iter().position(|f| f.event && f.id() == "payload")?;
-        if model.atoms.iter().any(|a| a.family == family) || !ctx.nominal_base {
+        let taken = model.atoms.iter().any(|a| a.family == family) || self.limits.banned.contains(&family);
+        if taken || !ctx.nominal_base {
             return None;
         }
         let whole = self.atom(ctx, family, 0, &[]);
@@ -219,7 +220,9 @@ impl Search<'_> {
         let frozen = self.frozen(model, state, &atom)?;
         let score = self.score(model, state, &[&frozen])?;
         let share = self.local_share(&residual, &frozen);
-        let merit = if share < CONTACT_SHARE || !self.felt_elsewhere(state, &residual, &frozen) {
+        // Where one contact is established another one, felt at a single joint, is no surprise.
+        let another = model.atoms.iter().any(|a| a.family == family);
+        let merit = if share < CONTACT_SHARE || !(another || self.felt_elsewhere(state, &residual, &frozen)) {
             -1.0
         } else {
             score.gain - CONTACT_NATS - self.limits.entry[family]

@@ -405,7 +405,7 @@ fn delay_bounds(scene: &Scene) -> (f64, f64) {
 fn delay(ctx: &Context<'_>, _: usize) -> Vec<ShapeRange> {
     let dt = 1.0 / ctx.scene.rate_hz;
     let bounds = delay_bounds(ctx.scene);
-    one("D", [-2.0, -1.0, 1.0, 2.0, 4.0].iter().map(|n| n * dt).filter(|d| *d > bounds.0).collect(), bounds)
+    one("D", [-2.0, -1.0, -0.7, 0.7, 1.0, 2.0, 4.0].iter().map(|n| n * dt).filter(|d| *d > bounds.0).collect(), bounds)
 }
 
 fn saturation(ctx: &Context<'_>, j: usize) -> Vec<ShapeRange> {
@@ -432,8 +432,12 @@ fn turning(_: &Context<'_>, _: usize) -> Vec<ShapeRange> {
     one("omega_0", vec![0.05], (0.002, 0.5))
 }
 
-fn swung(_: &Context<'_>, _: usize) -> Vec<ShapeRange> {
-    vec![ShapeRange { symbol: "omega", grid: vec![12.0], bounds: None }]
+fn swung(ctx: &Context<'_>, _: usize) -> Vec<ShapeRange> {
+    match ctx.scene.robot.kind {
+        Kind::Delta => vec![ShapeRange { symbol: "omega", grid: vec![12.0], bounds: None }],
+        // An arm's wrist is a joint: its angle is known.
+        Kind::Serial => Vec::new(),
+    }
 }
 
 fn contact(_: &Context<'_>, _: usize) -> Vec<ShapeRange> {

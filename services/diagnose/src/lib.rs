@@ -222,8 +222,11 @@ pub(crate) fn find(
     progress: &mut dyn FnMut(f64, &str),
 ) -> Result<Found, BadInput> {
     let mut seeds: Vec<Seed> = Vec::new();
-    // What is found may say that some stretches must not count; then the search is run again without them.
-    for last in [false, false, true] {
+    let mut banned: Vec<usize> = Vec::new();
+    let whole = scene.counting();
+    // What is found may say that some stretches must not count; then the search is run again without them. What does
+    // not hold there was found in error, and its stretches count again.
+    for last in [false, false, false, true] {
         progress(0.1, "fitting the base");
         let base = choose_base(scene);
         let noise_nm = report::noise_floor(scene);
@@ -238,9 +241,19 @@ pub(crate) fn find(
             floor_nm,
             noise_nm,
             most: 10,
+            banned: banned.clone(),
         };
         let search = Search::new(scene, families, base.target.clone(), limits.clone());
         let selection = search.select(&base, &seeds, progress).ok_or_else(unusable)?;
+        if !selection.fallen.is_empty() && !last {
+            let names: Vec<&str> = selection.fallen.iter().map(|f| families[*f].id()).collect();
+            progress(0.1, &format!("again without {}, which did not hold", names.join(" and ")));
+            banned.extend(&selection.fallen);
+            seeds.clear();
+            drop(search);
+            scene.count_again(&whole);
+            continue;
+        }
         if selection.blank.is_empty() || last {
             let base_rms_nm = search.base_rms_nm.get().cloned();
             return Ok(Found { base, limits, base_rms_nm, selection });

@@ -245,6 +245,17 @@ impl Scene {
         }
     }
 
+    /// Which rows count, and where it is quiet, to be restored by [`Self::count_again`].
+    pub fn counting(&self) -> (Vec<Vec<bool>>, Vec<bool>) {
+        (self.mask.clone(), self.quiet.clone())
+    }
+
+    /// Undoes what [`Self::blank`] did since.
+    pub fn count_again(&mut self, (mask, quiet): &(Vec<Vec<bool>>, Vec<bool>)) {
+        self.mask.clone_from(mask);
+        self.quiet.clone_from(quiet);
+    }
+
     /// Filters signals and keeps the rows; rows that do not count become 0.
     pub fn column(&self, raw: Raw) -> Column {
         let mut part = vec![Vec::new(); self.joints];

@@ -82,6 +82,8 @@ pub struct Limits {
     pub noise_nm: Vec<f64>,
     /// Most terms.
     pub most: usize,
+    /// Families that are not tried: an earlier run found them and could not keep them.
+    pub banned: Vec<usize>,
 }
 
 /// Most rounds of holding columns at their limits.

@@ -20,6 +20,8 @@ pub struct Selection {
     pub rivals: Vec<Rivals>,
     /// Stretches whose rows must not count because of what was found: the search is to be run again.
     pub blank: Vec<(f64, f64)>,
+    /// Families of carried seeds that did not hold: what was left out for them should count again.
+    pub fallen: Vec<usize>,
     /// Candidates of the last round that were not taken, best first, one per family.
     pub excluded: Vec<Ranked>,
 }
@@ -209,7 +211,7 @@ impl Search<'_> {
             self.tell(&model, &state, progress);
             let blank = self.blanks(&model, seeds);
             if !blank.is_empty() {
-                return Some(Selection { model, state, rivals: Vec::new(), blank, excluded });
+                return Some(Selection { model, state, rivals: Vec::new(), blank, fallen: Vec::new(), excluded });
             }
         }
         self.polish(base, &mut model, &mut state, Polish { rounds: 2, driven: true })?;
@@ -218,7 +220,10 @@ impl Search<'_> {
         self.soften(base, &mut model, &mut state, progress)?;
         self.settle(base, &mut model, &mut state, progress)?;
         let rivals = self.swap(base, &fixed, &mut model, &mut state, progress)?;
-        Some(Selection { model, state, rivals, blank: Vec::new(), excluded })
+        // A soft joint may have become one with play: its swing at the beginning stays unknown.
+        let mut fallen: Vec<usize> = seeds.iter().filter(|s| !s.carries.is_empty()).map(|s| s.family).collect();
+        fallen.retain(|f| !model.atoms.iter().any(|a| a.family == *f));
+        Some(Selection { model, state, rivals, blank: Vec::new(), fallen, excluded })
     }
 
     /// Tells the residual and what the tolerances took.

@@ -1,6 +1,7 @@
 //! A payload beside the axis of a wrist that turns: the platform must hold the mass swung round.
 //!
-//! Along each carry, r = −Jᵀ R(ω t) (m_x, m_y) ω²: for every rate ω two moments per carry by least squares, since
+//! On an arm the wrist is a joint and the two moments are those of the last link, the same in every carry. On a Delta,
+//! along each carry, r = −Jᵀ R(ω t) (m_x, m_y) ω²: for every rate ω two moments per carry by least squares, since
 //! nobody says how the wrist stood when a recording began. ω is one for all carries.
 
 use crate::families::Context;
@@ -20,11 +21,14 @@ impl Search<'_> {
     /// The best explanation by an off-axis payload on top of a payload that comes and goes.
     pub fn swung(&self, ctx: &Context<'_>, model: &Model, state: &State) -> Option<Ranked> {
         let family = self.families.iter().position(|f| f.event && f.id() == "payload_ecc")?;
-        self.scene.body.as_delta()?;
         if model.atoms.iter().any(|a| a.family == family) {
             return None;
         }
         let carried = model.atoms.iter().find(|a| !a.carries.is_empty())?.carries.clone();
+        if self.scene.body.as_delta().is_none() {
+            let atom = self.carry_atom(&self.atom(ctx, family, 0, &[]), &carried);
+            return self.rank(ctx, model, state, vec![atom]);
+        }
         let residual = self.residual(model, state);
         let arms = self.jacobian_rows();
         let gain = |rate: f64| -> f64 {

@@ -54,7 +54,10 @@ pub(crate) struct Chunk {
 
 impl Chunk {
     pub(crate) fn with_capacity(bytes: usize, channels: usize) -> Self {
-        Self { records: Vec::with_capacity(bytes), index: vec![Vec::new(); channels], ..Self::default() }
+        // Written once, so that its pages are there before the first sample and memory does not grow with the load.
+        let mut records = vec![u8::MAX; bytes];
+        records.clear();
+        Self { records, index: vec![Vec::new(); channels], ..Self::default() }
     }
 
     /// Appends a message whose data `fill` writes.

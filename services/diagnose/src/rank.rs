@@ -45,7 +45,9 @@ impl Search<'_> {
         } else {
             self.over_floor(state, &ranked.score.size_nm)
         };
-        ranked.merit > 0.0 && size > 1.0 && ranked.score.folds > 0.5
+        // A delay that counts is longer than the half sample of tolerance, which has taken most of its torque already.
+        let late = ranked.atoms.iter().any(|a| self.families[a.family].id() == "torque_delay");
+        ranked.merit > 0.0 && (size > 1.0 || late) && ranked.score.folds > 0.5
     }
 
     /// Whether an effect takes a good part of a joint's residual, and does so on every single fold: a short

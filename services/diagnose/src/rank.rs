@@ -175,8 +175,12 @@ impl Search<'_> {
             for j in joints {
                 let shapes = match family.id() {
                     "backlash" if ctx.inertia[*j] > 0.0 && ctx.nominal_base => self.screen_backlash(ctx, &residual, *j),
-                    "backlash" => Vec::new(),
-                    _ => family.grid(ctx, *j),
+                    "elasticity" if ctx.inertia[*j] > 0.0 => {
+                        let mut all = self.screen_elasticity(ctx, &residual, *j);
+                        all.extend(family.grid(ctx, *j));
+                        all
+                    }
+                    _ => Vec::new(),
                 };
                 list.extend(shapes.into_iter().map(|s| (f, *j, s)));
             }

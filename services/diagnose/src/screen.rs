@@ -1,5 +1,5 @@
-//! Where to look for backlash: the score over gap, stiffness and damping has wells a few per cent wide, so a
-//! dense grid is run with a scalar link (its own inertia, the model's link torque, no feedback of the
+//! Where to look for backlash and elasticity: the score over gap, stiffness and damping has wells a few per cent
+//! wide, so a dense grid is run with a scalar link (its own inertia, the model's link torque, no feedback of the
 //! deflection) on the recordings with the largest residual. The best places are then judged and refined with
 //! the catalogue's own simulation.
 
@@ -27,7 +27,6 @@ pub type Shape = [f64; 3];
 impl Search<'_> {
     /// The most promising shapes `[b, k, zeta]` of backlash at joint `j`, best first, well apart.
     pub fn screen_backlash(&self, ctx: &Context<'_>, residual: &Column, j: usize) -> Vec<Vec<f64>> {
-        let links = self.links(ctx, residual, j);
         let band = self.scene.band_hz;
         let mut shapes: Vec<Shape> = Vec::new();
         for b in steps(2e-4, 8e-3, 1.04) {
@@ -37,17 +36,37 @@ impl Search<'_> {
                 }
             }
         }
+        self.screened(ctx, residual, j, shapes).into_iter().map(|s| s.to_vec()).collect()
+    }
+
+    /// The most promising shapes `[k, zeta]` of an elastic joint `j`, best first, well apart.
+    pub fn screen_elasticity(&self, ctx: &Context<'_>, residual: &Column, j: usize) -> Vec<Vec<f64>> {
+        let band = self.scene.band_hz;
+        let mut shapes: Vec<Shape> = Vec::new();
+        for hz in steps(0.15 * band, 1.8 * band, 1.03) {
+            for zeta in [0.02, 0.06, 0.15] {
+                shapes.push([0.0, ctx.inertia[j] * (std::f64::consts::TAU * hz).powi(2), zeta]);
+            }
+        }
+        self.screened(ctx, residual, j, shapes).into_iter().map(|s| s[1..].to_vec()).collect()
+    }
+
+    /// The best of `shapes`, well apart.
+    fn screened(&self, ctx: &Context<'_>, residual: &Column, j: usize, shapes: Vec<Shape>) -> Vec<Shape> {
+        let links = self.links(ctx, residual, j);
         let mut scored: Vec<(f64, Shape)> =
             shapes.into_par_iter().map(|s| (self.likeness(&links, residual, j, &s), s)).collect();
         scored.sort_by(|a, b| b.0.total_cmp(&a.0));
         let mut out: Vec<Shape> = Vec::new();
         for (_, s) in scored.into_iter().filter(|s| s.0 > 0.05).take(60) {
-            let near = |o: &Shape| (o[0] / s[0]).ln().abs() < 0.06 && (o[1] / s[1]).ln().abs() < 0.2 && o[2] == s[2];
+            let near = |o: &Shape| {
+                (o[0] == s[0] || (o[0] / s[0]).ln().abs() < 0.06) && (o[1] / s[1]).ln().abs() < 0.2 && o[2] == s[2]
+            };
             if out.len() < 5 && !out.iter().any(near) {
                 out.push(s);
             }
         }
-        out.into_iter().map(|s| s.to_vec()).collect()
+        out
     }
 
     fn links(&self, ctx: &Context<'_>, residual: &Column, j: usize) -> Vec<Link> {

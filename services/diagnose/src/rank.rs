@@ -43,7 +43,7 @@ impl Search<'_> {
         let size = if event {
             ranked.score.size_nm.iter().zip(&self.limits.floor_nm).map(|(s, f)| s / f).fold(0.0, f64::max)
         } else {
-            self.over_floor(state, &ranked.score.size_nm)
+            self.over_floor(state, &ranked.score.size_nm, &ranked.atoms)
         };
         // A delay that counts is longer than the half sample of tolerance, which has taken most of its torque already.
         let late = ranked.atoms.iter().any(|a| self.families[a.family].id() == "torque_delay");

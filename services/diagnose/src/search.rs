@@ -320,15 +320,17 @@ impl<'a> Search<'a> {
         Score { gain, amplitude, size_nm, folds, by_fold }
     }
 
-    /// How large `size_nm` per joint is against what counts: noise, and the few per cent to which laws hold of what
-    /// the model explains already.
-    pub fn over_floor(&self, state: &State, size_nm: &[f64]) -> f64 {
+    /// How large `size_nm` per joint of `atoms` is against what counts: noise, and the few per cent to which laws hold of
+    /// what the model explains already. A term that acts in a few rows only is small over all of them and still plain
+    /// where it acts.
+    pub fn over_floor(&self, state: &State, size_nm: &[f64], atoms: &[Atom]) -> f64 {
         let left = self.held_out_rms(state);
         let explained = |j: usize| {
             let base = self.base_rms_nm.get().and_then(|b| b.get(j)).copied().unwrap_or(0.0);
             (base * base - left[j] * left[j]).max(0.0).sqrt()
         };
-        let floor = |j: usize| self.limits.floor_nm[j].max(LAW_ERROR * explained(j));
+        let local = |j: usize| atoms.iter().flat_map(|a| &a.columns).map(|c| locality(&c.part[j])).fold(1.0, f64::max);
+        let floor = |j: usize| (self.limits.floor_nm[j] / local(j)).max(LAW_ERROR * explained(j));
         (0..size_nm.len()).map(|j| size_nm[j] / floor(j)).fold(0.0, f64::max)
     }
 
@@ -361,6 +363,23 @@ impl<'a> Search<'a> {
     pub fn build(&self, ctx: &Context<'_>, list: Vec<(usize, usize, Vec<f64>)>) -> Vec<Atom> {
         list.into_par_iter().map(|(f, j, shape)| Atom { raws: Vec::new(), ..self.atom(ctx, f, j, &shape) }).collect()
     }
+}
+
+/// Share of the rows from which on a term that acts in them is not local.
+const LOCAL_SHARE: f64 = 0.33;
+/// Most that a term gains by being local.
+const MOST_LOCAL: f64 = 3.0;
+
+/// By how much the root mean square of a column over the rows in which it acts exceeds that over a third of all rows;
+/// 1 if it acts in more.
+fn locality(column: &[f64]) -> f64 {
+    let count = column.iter().filter(|v| **v != 0.0).count();
+    let (second, fourth) = column.iter().fold((0.0, 0.0), |(second, fourth), v| (second + v * v, fourth + v.powi(4)));
+    if count == 0 || fourth <= 0.0 {
+        return 1.0;
+    }
+    let acting = second * second / fourth;
+    (LOCAL_SHARE * count as f64 / acting).sqrt().clamp(1.0, MOST_LOCAL)
 }
 
 /// `a` −= factor · `b`.

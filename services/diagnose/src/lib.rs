@@ -263,7 +263,13 @@ pub(crate) fn find(
             .atoms
             .iter()
             .filter(|a| families[a.family].driven || !a.carries.is_empty())
-            .map(|a| Seed { family: a.family, joint: a.joint, shape: a.shape.clone(), carries: a.carries.clone() })
+            .map(|a| Seed {
+                family: a.family,
+                joint: a.joint,
+                shape: a.shape.clone(),
+                carries: a.carries.clone(),
+                held: (a.fixed && !a.carries.is_empty()).then(|| a.amplitude.clone()),
+            })
             .collect();
         let blank = selection.blank.clone();
         progress(0.1, &format!("again without {} stretches", blank.len()));

@@ -2,6 +2,7 @@
 
 use crate::base::Base;
 use crate::context::context;
+use crate::events::held_at;
 use crate::families::Context;
 use crate::model::{Atom, BaseRole, Model};
 use crate::polish::Polish;
@@ -45,6 +46,8 @@ pub struct Seed {
     pub shape: Vec<f64>,
     /// Times in which it acts.
     pub carries: Vec<(f64, f64)>,
+    /// Its amplitudes, if they were held; otherwise they are fitted.
+    pub held: Option<Vec<f64>>,
 }
 
 impl Search<'_> {
@@ -61,6 +64,9 @@ impl Search<'_> {
             let mut atom = self.atom(ctx, seed.family, seed.joint, &seed.shape);
             if !seed.carries.is_empty() {
                 atom = self.carry_atom(&atom, &seed.carries);
+            }
+            if let Some(amplitude) = &seed.held {
+                atom = held_at(&atom, amplitude.clone());
             }
             model.atoms.push(atom);
         }

@@ -2,6 +2,7 @@
 
 use crate::streams::{Stream, in_namespace};
 use crate::{Attachment, Facts, WriteError};
+use lacuna_interfaces::graph::split_topic;
 use lacuna_interfaces::{BadInput, RobotFile};
 use lacuna_recording::container::{Compression, WhenFull, WriterOptions};
 use serde::Deserialize;
@@ -68,6 +69,56 @@ pub struct Branch {
     pub namespace: String,
     /// Messages that will come in it.
     pub streams: Vec<Stream>,
+}
+
+/// Topics of the graph, sorted by namespace.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Lanes {
+    /// Messages of topics without a namespace.
+    pub streams: Vec<Stream>,
+    /// Messages of topics with one.
+    pub branches: Vec<Branch>,
+}
+
+impl Lanes {
+    /// Sorts topics of the graph, each with the name of its message.
+    ///
+    /// # Errors
+    /// [`BadInput`] for a message that has no topics, or one that comes twice in a namespace.
+    pub fn of(topics: &[(String, &str)]) -> Result<Self, BadInput> {
+        let mut lanes = Self::default();
+        for (topic, message) in topics {
+            let stream = Stream::of_message(message).ok_or_else(|| {
+                BadInput::new(format!("topic \"{topic}\": found a {message}; expected a message that can be recorded"))
+            })?;
+            let namespace = split_topic(topic).0;
+            let lane = lanes.lane(namespace);
+            if lane.contains(&stream) {
+                return Err(BadInput::new(format!(
+                    "topic \"{topic}\": a second topic of {message}; expected one of each in a namespace, as in \"before/{topic}\""
+                )));
+            }
+            lane.push(stream);
+        }
+        Ok(lanes)
+    }
+
+    fn lane(&mut self, namespace: &str) -> &mut Vec<Stream> {
+        if namespace.is_empty() {
+            return &mut self.streams;
+        }
+        let at = self.branches.iter().position(|b| b.namespace == namespace).unwrap_or_else(|| {
+            self.branches.push(Branch { namespace: namespace.to_owned(), streams: Vec::new() });
+            self.branches.len() - 1
+        });
+        &mut self.branches[at].streams
+    }
+
+    /// Lane of a topic: 0 for those without a namespace, then the branches from 1.
+    pub fn index_of(&self, topic: &str) -> usize {
+        let namespace = split_topic(topic).0;
+        self.branches.iter().position(|b| b.namespace == namespace).map_or(0, |i| i + 1)
+    }
 }
 
 /// What the recorder is told about the run.

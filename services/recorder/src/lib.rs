@@ -19,21 +19,21 @@
 //! checked; what is missing is counted, and only a finished recording carries `complete = true`.
 
 mod config;
+mod fill;
 mod streams;
 
-pub use config::{Branch, Config, Run};
+pub use config::{Branch, Config, Lanes, Run};
 pub use lacuna_recording::container::{Attachment, WriteError};
-pub use streams::{Counts, Stream};
+pub use streams::{Counts, Stream, Topics};
 
 use lacuna_interfaces::{
-    BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, MAX_JOINTS, PayloadEstimate, ResidualWatch,
-    TorqueModel, flag,
+    BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, PayloadEstimate, ResidualWatch, TorqueModel, flag,
 };
 use lacuna_recording::container::{Finished, MessageBatch, Writer};
 use lacuna_recording::ros::bag;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use streams::{Sequences, Topics};
+use streams::Sequences;
 
 /// Writes a recording.
 #[derive(Debug)]
@@ -41,7 +41,6 @@ pub struct Recorder {
     writer: Writer,
     /// The streams without a namespace, then those of the branches in their order.
     lanes: Vec<Lane>,
-    joints: usize,
     /// The bag folder and the file's name in it, if there is one.
     bag: Option<(PathBuf, String)>,
 }
@@ -59,7 +58,6 @@ struct Lane {
 pub struct LaneWriter<'a> {
     writer: &'a mut Writer,
     lane: &'a mut Lane,
-    joints: usize,
 }
 
 impl Recorder {
@@ -89,7 +87,7 @@ impl Recorder {
                 Ok(Lane { namespace: namespace.to_owned(), topics, sequences: Sequences::default() })
             })
             .collect::<Result<_, WriteError>>()?;
-        Ok(Self { writer, lanes, joints: run.robot.joint_count(), bag })
+        Ok(Self { writer, lanes, bag })
     }
 
     /// Where samples of lane `index` go: 0 for the streams without a namespace, then the branches from 1.
@@ -99,7 +97,7 @@ impl Recorder {
     pub fn lane(&mut self, index: usize) -> Result<LaneWriter<'_>, WriteError> {
         let count = self.lanes.len();
         match self.lanes.get_mut(index) {
-            Some(lane) => Ok(LaneWriter { writer: &mut self.writer, lane, joints: self.joints }),
+            Some(lane) => Ok(LaneWriter { writer: &mut self.writer, lane }),
             None => Err(BadInput::new(format!("found a sample of lane {index}; expected one of {count}")).into()),
         }
     }
@@ -137,25 +135,7 @@ impl LaneWriter<'_> {
     /// # Errors
     /// [`WriteError`] if writing failed; the file stays readable up to there.
     pub fn measured(&mut self, m: &JointMeasured) -> Result<(), WriteError> {
-        let n = self.joints;
-        self.record(Stream::Measured, &m.header, |topics, batch| {
-            let there = |values: &[f64]| values.iter().any(|v| !v.is_nan());
-            let drive_on = !m.header.has(flag::DRIVE_OFF);
-            if !drive_on || there(&m.temperature_degc[..n]) || there(&m.link_q_rad[..n]) || there(&m.link_tau_nm[..n]) {
-                // Before its JointState, so that a reader has it when the sample comes.
-                topics.write(Topics::MEASURED_DETAIL, batch, &m.header, |slots| {
-                    slots
-                        .numbers(&m.temperature_degc[..n])
-                        .numbers(&m.link_q_rad[..n])
-                        .numbers(&m.link_tau_nm[..n])
-                        .bytes(&[u8::from(drive_on)])
-                        .done();
-                });
-            }
-            topics.write(Topics::MEASURED, batch, &m.header, |slots| {
-                slots.numbers(&m.q_rad[..n]).numbers(&m.tau_nm[..n]).done();
-            });
-        })
+        self.record(Stream::Measured, &m.header, |topics, batch| topics.measured(m, batch))
     }
 
     /// Records a smoothed sample.
@@ -163,20 +143,7 @@ impl LaneWriter<'_> {
     /// # Errors
     /// As [`LaneWriter::measured`].
     pub fn smoothed(&mut self, m: &JointSmoothed) -> Result<(), WriteError> {
-        let n = self.joints;
-        self.record(Stream::Smoothed, &m.header, |topics, batch| {
-            topics.write(Topics::SMOOTHED, batch, &m.header, |slots| {
-                slots.numbers(&m.q_rad[..n]).numbers(&m.qd_rad_s[..n]).done();
-            });
-            topics.write(Topics::SMOOTHED_DETAIL, batch, &m.header, |slots| {
-                slots
-                    .numbers(&m.qdd_rad_s2[..n])
-                    .numbers(&m.sd_q_rad[..n])
-                    .numbers(&m.sd_qd_rad_s[..n])
-                    .numbers(&m.sd_qdd_rad_s2[..n])
-                    .done();
-            });
-        })
+        self.record(Stream::Smoothed, &m.header, |topics, batch| topics.smoothed(m, batch))
     }
 
     /// Records model torques.
@@ -184,11 +151,7 @@ impl LaneWriter<'_> {
     /// # Errors
     /// As [`LaneWriter::measured`].
     pub fn torque(&mut self, m: &TorqueModel) -> Result<(), WriteError> {
-        let n = self.joints;
-        self.record(Stream::Torque, &m.header, |topics, batch| {
-            topics.write(Topics::TORQUE_NOMINAL, batch, &m.header, |s| s.numbers(&m.tau_nominal_nm[..n]).done());
-            topics.write(Topics::TORQUE_RIGID, batch, &m.header, |s| s.numbers(&m.tau_rigid_nm[..n]).done());
-        })
+        self.record(Stream::Torque, &m.header, |topics, batch| topics.torque(m, batch))
     }
 
     /// Records friction torques.
@@ -196,10 +159,7 @@ impl LaneWriter<'_> {
     /// # Errors
     /// As [`LaneWriter::measured`].
     pub fn friction(&mut self, m: &FrictionTorque) -> Result<(), WriteError> {
-        let n = self.joints;
-        self.record(Stream::Friction, &m.header, |topics, batch| {
-            topics.write(Topics::FRICTION, batch, &m.header, |s| s.numbers(&m.tau_friction_nm[..n]).done());
-        })
+        self.record(Stream::Friction, &m.header, |topics, batch| topics.friction(m, batch))
     }
 
     /// Records a payload estimate and the residuals.
@@ -207,20 +167,7 @@ impl LaneWriter<'_> {
     /// # Errors
     /// As [`LaneWriter::measured`].
     pub fn payload(&mut self, m: &PayloadEstimate) -> Result<(), WriteError> {
-        let n = self.joints;
-        self.record(Stream::Payload, &m.header, |topics, batch| {
-            topics.write(Topics::RESIDUAL, batch, &m.header, |s| s.numbers(&m.residual_nm[..n]).done());
-            let after = &m.residual_payload_nm[..n];
-            topics.write(Topics::RESIDUAL_PAYLOAD, batch, &m.header, |s| s.numbers(after).done());
-            topics.write(Topics::PAYLOAD, batch, &m.header, |slots| {
-                slots
-                    .bytes(&m.mass_kg.to_le_bytes())
-                    .bytes(&m.sd_mass_kg.to_le_bytes())
-                    .bytes(&[u8::from(!m.header.has(flag::NOT_EXCITED))])
-                    .bytes(&[u8::from(m.header.has(flag::PAYLOAD_STEP))])
-                    .done();
-            });
-        })
+        self.record(Stream::Payload, &m.header, |topics, batch| topics.payload(m, batch))
     }
 
     /// Records what the monitor makes of the residual.
@@ -228,22 +175,7 @@ impl LaneWriter<'_> {
     /// # Errors
     /// As [`LaneWriter::measured`].
     pub fn watch(&mut self, m: &ResidualWatch) -> Result<(), WriteError> {
-        let n = self.joints;
-        self.record(Stream::Watch, &m.header, |topics, batch| {
-            topics.write(Topics::WATCH, batch, &m.header, |mut slots| {
-                slots = slots.numbers(&m.residual_nm[..n]).numbers(&m.sd_nm[..n]).numbers(&m.score[..n]);
-                let (mut alarm, mut watched) = ([0; MAX_JOINTS], [0; MAX_JOINTS]);
-                for j in 0..n {
-                    alarm[j] = (m.alarm >> j & 1) as u8;
-                    watched[j] = (m.watched >> j & 1) as u8;
-                }
-                slots = slots.bytes(&watched[..n]).bytes(&alarm[..n]);
-                let since = m.since_ns.map(|ns| ns as f64 * 1e-9);
-                let variable = m.region_variable.map(|v| v as u8);
-                slots = slots.numbers(&since[..n]).bytes(&variable[..n]);
-                slots.numbers(&m.region_low[..n]).numbers(&m.region_high[..n]).done();
-            });
-        })
+        self.record(Stream::Watch, &m.header, |topics, batch| topics.watch(m, batch))
     }
 
     fn record(
@@ -262,7 +194,6 @@ impl LaneWriter<'_> {
         self.lane.sequences.saw(stream, header.seq);
         let mut batch = self.writer.batch();
         write(&self.lane.topics, &mut batch);
-        self.lane.topics.status(stream, &mut batch, header);
         if batch.end() { Ok(()) } else { Err(self.writer.failure()) }
     }
 }

@@ -1,8 +1,8 @@
 //! The recorder process: the bus into a file.
 
-use lacuna_interfaces::graph::{Mode, split_topic};
+use lacuna_interfaces::graph::Mode;
 use lacuna_interfaces::{BadInput, RobotFile};
-use lacuna_recorder::{Attachment, Branch, Config, Recorder, Run, Stream};
+use lacuna_recorder::{Attachment, Config, Lanes, Recorder, Run};
 use lacuna_stage::{AnyMessage, Sink, SinkContext, run_sink};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,8 +12,7 @@ use std::process::ExitCode;
 struct Process {
     config: Config,
     robot: RobotFile,
-    streams: Vec<Stream>,
-    branches: Vec<Branch>,
+    lanes: Lanes,
     live: bool,
     attachments: Vec<Attachment>,
     facts: BTreeMap<String, String>,
@@ -25,8 +24,8 @@ impl Process {
         if self.recorder.is_none() {
             let run = Run {
                 robot: &self.robot,
-                streams: &self.streams,
-                branches: &self.branches,
+                streams: &self.lanes.streams,
+                branches: &self.lanes.branches,
                 live: self.live,
                 attachments: std::mem::take(&mut self.attachments),
                 facts: std::mem::take(&mut self.facts),
@@ -77,32 +76,10 @@ impl Sink for Process {
         }
         let live = context.mode == Mode::Live;
         config.check(live).map_err(|e| BadInput::new(e.to_string()))?;
-        let mut streams = Vec::new();
-        let mut branches: Vec<Branch> = Vec::new();
-        for (topic, message) in context.topics {
-            let stream = Stream::of_message(message).ok_or_else(|| {
-                BadInput::new(format!("topic \"{topic}\": {message} is not a message the recorder knows"))
-            })?;
-            let namespace = split_topic(topic).0;
-            let lane = if namespace.is_empty() {
-                &mut streams
-            } else {
-                if !branches.iter().any(|b| b.namespace == namespace) {
-                    branches.push(Branch { namespace: namespace.to_owned(), streams: Vec::new() });
-                }
-                branches.iter_mut().find(|b| b.namespace == namespace).map_or(&mut streams, |b| &mut b.streams)
-            };
-            if lane.contains(&stream) {
-                return Err(BadInput::new(format!(
-                    "topic \"{topic}\": a second topic of {message}; expected one of each in a namespace, as in \"before/{topic}\""
-                )));
-            }
-            lane.push(stream);
-        }
+        let lanes = Lanes::of(context.topics)?;
         Ok(Self {
             robot: context.robot.clone(),
-            streams,
-            branches,
+            lanes,
             live,
             attachments: attachments(context)?,
             facts: [("graph", context.graph.name.as_str()), ("torque_unit", context.robot.torque_unit.symbol())]
@@ -114,8 +91,7 @@ impl Sink for Process {
     }
 
     fn take(&mut self, topic: &str, message: AnyMessage<'_>, _missing: u64) -> Result<(), String> {
-        let namespace = split_topic(topic).0;
-        let index = self.branches.iter().position(|b| b.namespace == namespace).map_or(0, |i| i + 1);
+        let index = self.lanes.index_of(topic);
         let mut recorder = self.recorder()?.lane(index).map_err(|e| e.to_string())?;
         match message {
             AnyMessage::JointMeasured(m) => recorder.measured(m),
@@ -136,7 +112,7 @@ impl Sink for Process {
             // Dropping the recorder writes what it holds, without the mark of a complete file.
             return Ok(serde_json::json!({ "path": path, "complete": false }));
         }
-        if self.streams.is_empty() {
+        if self.lanes.streams.is_empty() && self.lanes.branches.is_empty() {
             // Started again when all streams had ended.
             return Ok(serde_json::json!({ "path": null, "complete": true }));
         }

@@ -2,13 +2,13 @@
 
 use crate::{Facts, WriteError};
 use lacuna_interfaces::{
-    FrictionTorque, Header, JointMeasured, JointSmoothed, PayloadEstimate, ResidualWatch, TorqueModel, Wire,
+    FrictionTorque, Header, JointMeasured, JointSmoothed, MAX_JOINTS, PayloadEstimate, ResidualWatch, TorqueModel, Wire,
 };
-use lacuna_recording::container::{ChannelId, Finished, MessageBatch, Writer};
+use lacuna_recording::container::{ChannelId, Finished};
 use lacuna_recording::ros::bag;
 use lacuna_recording::ros::cdr::Filler;
 use lacuna_recording::ros::schema;
-use lacuna_recording::topics::{Has, StatusTopic, Topic};
+use lacuna_recording::topics::{Declare, Has, Messages, StatusTopic, Topic};
 use std::collections::BTreeMap;
 
 /// Messages that can be recorded, in the order of the graph.
@@ -148,10 +148,13 @@ fn full(namespace: &str, topic: &str) -> String {
     if namespace.is_empty() { topic.to_owned() } else { format!("/{namespace}{topic}") }
 }
 
-/// The topics of a namespace; those of streams that do not come are absent.
+/// The topics of a namespace; those of streams that do not come are absent. What a message of the graph becomes on
+/// them is said once, in [`Topics::measured`] and the like: for recordings, and for whoever shows the same topics.
 #[derive(Debug)]
-pub(crate) struct Topics {
+pub struct Topics {
     namespace: String,
+    /// Joints of the robot, at most [`lacuna_interfaces::MAX_JOINTS`].
+    pub(crate) joints: usize,
     list: [Option<Topic>; NAMES.len()],
     status: Option<(Stream, StatusTopic)>,
 }
@@ -186,8 +189,11 @@ impl Topics {
     pub(crate) const WATCH: usize = 10;
 
     /// Declares the topics of the streams that will come in `namespace`.
-    pub(crate) fn declare(
-        writer: &mut Writer,
+    ///
+    /// # Errors
+    /// [`WriteError`] if the place refuses one.
+    pub fn declare(
+        place: &mut impl Declare,
         joints: &[String],
         namespace: &str,
         streams: &[Stream],
@@ -201,20 +207,21 @@ impl Topics {
             let name = &full(namespace, name);
             let has = |position, velocity, effort| Has { position, velocity, effort };
             *slot = Some(match i {
-                Self::MEASURED_DETAIL => Topic::measured_detail(writer, name, joints)?,
-                Self::SMOOTHED_DETAIL => Topic::motion_detail(writer, name, joints)?,
-                Self::PAYLOAD => Topic::payload(writer, name)?,
-                Self::WATCH => Topic::residual_watch(writer, name, joints)?,
-                Self::MEASURED => Topic::joint_state(writer, name, joints, has(true, false, true))?,
-                Self::SMOOTHED => Topic::joint_state(writer, name, joints, has(true, true, false))?,
-                _ => Topic::joint_state(writer, name, joints, has(false, false, true))?,
+                Self::MEASURED_DETAIL => Topic::measured_detail(place, name, joints)?,
+                Self::SMOOTHED_DETAIL => Topic::motion_detail(place, name, joints)?,
+                Self::PAYLOAD => Topic::payload(place, name)?,
+                Self::WATCH => Topic::residual_watch(place, name, joints)?,
+                Self::MEASURED => Topic::joint_state(place, name, joints, has(true, false, true))?,
+                Self::SMOOTHED => Topic::joint_state(place, name, joints, has(true, true, false))?,
+                _ => Topic::joint_state(place, name, joints, has(false, false, true))?,
             });
         }
         let status = match streams.iter().max() {
-            Some(&last) => Some((last, StatusTopic::new(writer, &full(namespace, STATUS))?)),
+            Some(&last) => Some((last, StatusTopic::new(place, &full(namespace, STATUS))?)),
             None => None,
         };
-        Ok(Self { namespace: namespace.to_owned(), list, status })
+        let joints = joints.len().min(MAX_JOINTS);
+        Ok(Self { namespace: namespace.to_owned(), joints, list, status })
     }
 
     /// Whether a stream's topics were declared.
@@ -227,21 +234,21 @@ impl Topics {
     pub(crate) fn write(
         &self,
         topic: usize,
-        batch: &mut MessageBatch<'_>,
+        to: &mut impl Messages,
         header: &Header,
         fill: impl FnOnce(Filler<'_>),
     ) {
         if let Some(Some(topic)) = self.list.get(topic) {
-            topic.write(batch, header, fill);
+            topic.write(to, header, fill);
         }
     }
 
     /// Writes the status of a sample of the last stream.
-    pub(crate) fn status(&self, stream: Stream, batch: &mut MessageBatch<'_>, header: &Header) {
+    pub(crate) fn status(&self, stream: Stream, to: &mut impl Messages, header: &Header) {
         if let Some((last, topic)) = &self.status
             && *last == stream
         {
-            topic.write(batch, header);
+            topic.write(to, header);
         }
     }
 

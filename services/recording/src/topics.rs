@@ -1,4 +1,5 @@
-//! Typed topics of a recording: what a channel holds, declared once, then written without allocation.
+//! Typed topics of a recording: what a channel holds, declared once, then written without allocation. A live view has
+//! the same topics: it declares them elsewhere ([`Declare`]) and sends what is written to them ([`Messages`]).
 
 use crate::container::{Channel, ChannelId, MessageBatch, WriteError, Writer};
 use crate::ros::bag::OFFERED_QOS;
@@ -7,12 +8,40 @@ use crate::ros::schema::{self, Schema};
 use lacuna_interfaces::Header;
 use lacuna_interfaces::wire::MAX_HOPS;
 
+/// Where topics are declared.
+pub trait Declare {
+    /// Declares a channel.
+    ///
+    /// # Errors
+    /// [`WriteError`] if writing failed, or for more channels than there can be.
+    fn channel(&mut self, channel: Channel) -> Result<ChannelId, WriteError>;
+}
+
+impl Declare for Writer {
+    fn channel(&mut self, channel: Channel) -> Result<ChannelId, WriteError> {
+        Self::channel(self, channel)
+    }
+}
+
+/// Where messages go.
+pub trait Messages {
+    /// Takes a message of `channel` whose bytes `fill` writes, logged at `time_ns`.
+    fn message(&mut self, channel: ChannelId, sequence: u32, time_ns: u64, fill: impl FnOnce(&mut Vec<u8>));
+}
+
+impl Messages for MessageBatch<'_> {
+    #[inline]
+    fn message(&mut self, channel: ChannelId, sequence: u32, time_ns: u64, fill: impl FnOnce(&mut Vec<u8>)) {
+        Self::message(self, channel, sequence, time_ns, fill);
+    }
+}
+
 /// Declares a topic with a ROS 2 message type.
 ///
 /// # Errors
-/// [`WriteError`] if writing failed.
-pub fn declare(writer: &mut Writer, topic: &str, schema: &Schema) -> Result<ChannelId, WriteError> {
-    writer.channel(Channel {
+/// As [`Declare::channel`].
+pub fn declare(place: &mut impl Declare, topic: &str, schema: &Schema) -> Result<ChannelId, WriteError> {
+    place.channel(Channel {
         topic: topic.to_owned(),
         schema: schema.name.to_owned(),
         schema_encoding: "ros2msg".to_owned(),
@@ -46,7 +75,7 @@ impl Topic {
     ///
     /// # Errors
     /// [`WriteError`] if writing failed.
-    pub fn joint_state(writer: &mut Writer, topic: &str, joints: &[String], has: Has) -> Result<Self, WriteError> {
+    pub fn joint_state(place: &mut impl Declare, topic: &str, joints: &[String], has: Has) -> Result<Self, WriteError> {
         let n = |there: bool| if there { joints.len() } else { 0 };
         let template = Builder::stamped()
             .strings(joints)
@@ -54,17 +83,17 @@ impl Topic {
             .numbers(n(has.velocity))
             .numbers(n(has.effort))
             .template();
-        Ok(Self { channel: declare(writer, topic, &schema::JOINT_STATE)?, template })
+        Ok(Self { channel: declare(place, topic, &schema::JOINT_STATE)?, template })
     }
 
     /// A `lacuna_msgs/MeasuredDetail` topic; slots: temperature, link position, link effort, drive on.
     ///
     /// # Errors
     /// [`WriteError`] if writing failed.
-    pub fn measured_detail(writer: &mut Writer, topic: &str, joints: &[String]) -> Result<Self, WriteError> {
+    pub fn measured_detail(place: &mut impl Declare, topic: &str, joints: &[String]) -> Result<Self, WriteError> {
         let n = joints.len();
         let template = Builder::stamped().strings(joints).numbers(n).numbers(n).numbers(n).scalar(1).template();
-        Ok(Self { channel: declare(writer, topic, &schema::MEASURED_DETAIL)?, template })
+        Ok(Self { channel: declare(place, topic, &schema::MEASURED_DETAIL)?, template })
     }
 
     /// A `lacuna_msgs/MotionDetail` topic; slots: acceleration and the standard deviations of position, velocity
@@ -72,30 +101,30 @@ impl Topic {
     ///
     /// # Errors
     /// [`WriteError`] if writing failed.
-    pub fn motion_detail(writer: &mut Writer, topic: &str, joints: &[String]) -> Result<Self, WriteError> {
+    pub fn motion_detail(place: &mut impl Declare, topic: &str, joints: &[String]) -> Result<Self, WriteError> {
         let n = joints.len();
         let template = Builder::stamped().strings(joints).numbers(n).numbers(n).numbers(n).numbers(n).template();
-        Ok(Self { channel: declare(writer, topic, &schema::MOTION_DETAIL)?, template })
+        Ok(Self { channel: declare(place, topic, &schema::MOTION_DETAIL)?, template })
     }
 
     /// A `lacuna_msgs/Payload` topic; slots: mass, its standard deviation, excited, step.
     ///
     /// # Errors
     /// [`WriteError`] if writing failed.
-    pub fn payload(writer: &mut Writer, topic: &str) -> Result<Self, WriteError> {
+    pub fn payload(place: &mut impl Declare, topic: &str) -> Result<Self, WriteError> {
         let template = Builder::stamped().scalar(8).scalar(8).scalar(1).scalar(1).template();
-        Ok(Self { channel: declare(writer, topic, &schema::PAYLOAD)?, template })
+        Ok(Self { channel: declare(place, topic, &schema::PAYLOAD)?, template })
     }
 
     /// A `lacuna_msgs/ResidualWatch` topic; slots in the order of its lists after the names.
     ///
     /// # Errors
     /// [`WriteError`] if writing failed.
-    pub fn residual_watch(writer: &mut Writer, topic: &str, joints: &[String]) -> Result<Self, WriteError> {
+    pub fn residual_watch(place: &mut impl Declare, topic: &str, joints: &[String]) -> Result<Self, WriteError> {
         let n = joints.len();
         let lists = Builder::stamped().strings(joints).numbers(n).numbers(n).numbers(n).octets(n).octets(n).numbers(n);
         let template = lists.octets(n).numbers(n).numbers(n).template();
-        Ok(Self { channel: declare(writer, topic, &schema::RESIDUAL_WATCH)?, template })
+        Ok(Self { channel: declare(place, topic, &schema::RESIDUAL_WATCH)?, template })
     }
 
     /// The channel.
@@ -105,8 +134,8 @@ impl Topic {
 
     /// Writes a message at the sample's stamp: `fill` fills the slots in order.
     #[inline]
-    pub fn write(&self, batch: &mut MessageBatch<'_>, header: &Header, fill: impl FnOnce(Filler<'_>)) {
-        write(self.channel, &self.template, batch, header, fill);
+    pub fn write(&self, to: &mut impl Messages, header: &Header, fill: impl FnOnce(Filler<'_>)) {
+        write(self.channel, &self.template, to, header, fill);
     }
 }
 
@@ -120,13 +149,13 @@ fn log_time(stamp_ns: i64) -> u64 {
 fn write(
     channel: ChannelId,
     template: &Template,
-    batch: &mut MessageBatch<'_>,
+    to: &mut impl Messages,
     header: &Header,
     fill: impl FnOnce(Filler<'_>),
 ) {
     // MCAP's sequence field has 32 bits and may wrap; the whole number is in the status message.
     let sequence = header.seq as u32;
-    batch.message(channel, sequence, log_time(header.stamp_ns), |out| fill(template.append(out, header.stamp_ns)));
+    to.message(channel, sequence, log_time(header.stamp_ns), |out| fill(template.append(out, header.stamp_ns)));
 }
 
 /// The `lacuna_msgs/Status` topic: how samples fared on their way.
@@ -142,11 +171,11 @@ impl StatusTopic {
     ///
     /// # Errors
     /// [`WriteError`] if writing failed.
-    pub fn new(writer: &mut Writer, topic: &str) -> Result<Self, WriteError> {
+    pub fn new(place: &mut impl Declare, topic: &str) -> Result<Self, WriteError> {
         let template = |latencies: usize| {
             Builder::stamped().scalar(8).scalar(4).scalar(8).scalar(8).scalar(4).words(latencies).template()
         };
-        Ok(Self { channel: declare(writer, topic, &schema::STATUS)?, templates: std::array::from_fn(template) })
+        Ok(Self { channel: declare(place, topic, &schema::STATUS)?, templates: std::array::from_fn(template) })
     }
 
     /// The channel.
@@ -155,7 +184,7 @@ impl StatusTopic {
     }
 
     /// Writes a sample's header.
-    pub fn write(&self, batch: &mut MessageBatch<'_>, header: &Header) {
+    pub fn write(&self, to: &mut impl Messages, header: &Header) {
         let hops = (header.hops as usize).min(MAX_HOPS);
         let latencies = hops.saturating_sub(1);
         let mut words = [0; 4 * MAX_HOPS];
@@ -166,7 +195,7 @@ impl StatusTopic {
         }
         let Some(template) = self.templates.get(latencies) else { return };
         let words = words.get(..4 * latencies).unwrap_or(&[]);
-        write(self.channel, template, batch, header, |slots| {
+        write(self.channel, template, to, header, |slots| {
             slots
                 .bytes(&header.seq.to_le_bytes())
                 .bytes(&header.flags.to_le_bytes())

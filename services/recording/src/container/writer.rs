@@ -97,6 +97,18 @@ pub struct Attachment {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ChannelId(pub(crate) u16);
 
+impl ChannelId {
+    /// Channel `number` of a place that numbers its channels itself.
+    pub fn new(number: u16) -> Self {
+        Self(number)
+    }
+
+    /// Its number.
+    pub fn number(self) -> u16 {
+        self.0
+    }
+}
+
 /// Why writing failed.
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {

@@ -21,28 +21,37 @@ pub type Hops = [u64; MAX_HOPS];
 
 /// Bits of [`Header::flags`]. Doubt about a sample travels with it; the sample itself is never altered silently.
 pub mod flag {
-    /// Not a sample: the stream ends here. `seq` is one past the last sample.
-    pub const END_OF_STREAM: u32 = 1;
-    /// The stage's internal state was reset at this sample (start of stream, gap, restart after a fault).
-    pub const STATE_RESET: u32 = 1 << 1;
-    /// Samples are missing right before this one (time gap in the recording, or drops on a live bus).
-    pub const GAP: u32 = 1 << 2;
-    /// The reader repaired this sample (spike, wrapped angle); the repair is counted in the recording's report.
-    pub const REPAIRED: u32 = 1 << 3;
-    /// The drive was off: the torque signal does not act on the robot.
-    pub const DRIVE_OFF: u32 = 1 << 4;
-    /// The pose is outside the workspace: no model torque exists, the torque fields are 0.
-    pub const UNREACHABLE: u32 = 1 << 5;
-    /// At least one joint stands still: its friction may hold any torque within ± f_c.
-    pub const STANDSTILL: u32 = 1 << 6;
-    /// The payload estimate is not supported by the motion: read it as unknown.
-    pub const NOT_EXCITED: u32 = 1 << 7;
-    /// The payload estimator saw a pick or place here and opened its gain.
-    pub const PAYLOAD_STEP: u32 = 1 << 8;
-    /// The smoothed value had less future than the configured lag (end of stream or before a gap).
-    pub const SHORT_LAG: u32 = 1 << 9;
-    /// The joint torque residual left the band that the model and its noise allow.
-    pub const MISMATCH: u32 = 1 << 10;
+    macro_rules! flags {
+        ($($(#[$meta:meta])* $name:ident = $value:expr,)*) => {
+            $($(#[$meta])* pub const $name: u32 = $value;)*
+            /// All of them with their names.
+            pub const ALL: &[(&str, u32)] = &[$((stringify!($name), $name)),*];
+        };
+    }
+    flags! {
+        /// Not a sample: the stream ends here. `seq` is one past the last sample.
+        END_OF_STREAM = 1,
+        /// The stage's internal state was reset at this sample (start of stream, gap, restart after a fault).
+        STATE_RESET = 1 << 1,
+        /// Samples are missing right before this one (time gap in the recording, or drops on a live bus).
+        GAP = 1 << 2,
+        /// The reader repaired this sample (spike, wrapped angle); the repair is counted in the recording's report.
+        REPAIRED = 1 << 3,
+        /// The drive was off: the torque signal does not act on the robot.
+        DRIVE_OFF = 1 << 4,
+        /// The pose is outside the workspace: no model torque exists, the torque fields are 0.
+        UNREACHABLE = 1 << 5,
+        /// At least one joint stands still: its friction may hold any torque within ± f_c.
+        STANDSTILL = 1 << 6,
+        /// The payload estimate is not supported by the motion: read it as unknown.
+        NOT_EXCITED = 1 << 7,
+        /// The payload estimator saw a pick or place here and opened its gain.
+        PAYLOAD_STEP = 1 << 8,
+        /// The smoothed value had less future than the configured lag (end of stream or before a gap).
+        SHORT_LAG = 1 << 9,
+        /// The joint torque residual left the band that the model and its noise allow.
+        MISMATCH = 1 << 10,
+    }
 }
 
 /// Values of [`ResidualWatch::region_variable`](crate::ResidualWatch::region_variable): what the mismatch depends on.
@@ -121,6 +130,19 @@ const fn layout_hash(name: &str, fields: &[Field], seed: u64) -> u64 {
     hash
 }
 
+/// What a message is made of, for definitions in other languages.
+#[derive(Debug, Clone, Copy)]
+pub struct Definition {
+    /// Name of the message.
+    pub name: &'static str,
+    /// Type name on the bus: message name and layout hash.
+    pub type_name: fn() -> String,
+    /// Size in bytes.
+    pub size: usize,
+    /// The fields in order, the header first.
+    pub fields: &'static [Field],
+}
+
 macro_rules! fields {
     ($owner:ident { $($field:ident : $ty:ty),* }) => {
         &[$(Field {
@@ -134,7 +156,15 @@ macro_rules! fields {
 
 /// Declares messages: the struct, its field table and its layout hash from one list.
 macro_rules! wire {
-    ($($(#[$meta:meta])* pub struct $name:ident { $($(#[$fmeta:meta])* pub $field:ident : $ty:ty,)* })*) => {$(
+    ($($(#[$meta:meta])* pub struct $name:ident { $($(#[$fmeta:meta])* pub $field:ident : $ty:ty,)* })*) => {
+        /// All messages, in the order of the graph.
+        pub const MESSAGES: &[Definition] = &[$(Definition {
+            name: $name::NAME,
+            type_name: $name::type_name,
+            size: size_of::<$name>(),
+            fields: $name::FIELDS,
+        }),*];
+        $(
         $(#[$meta])*
         #[repr(C)]
         #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -153,7 +183,8 @@ macro_rules! wire {
             fn header(&self) -> &Header { &self.header }
             fn header_mut(&mut self) -> &mut Header { &mut self.header }
         }
-    )*};
+        )*
+    };
 }
 
 /// What every message begins with.
@@ -326,11 +357,11 @@ wire! {
 mod tests {
     use super::*;
 
-    fn no_padding<M: Wire>() {
-        let sum: usize = M::FIELDS.iter().map(|f| f.size).sum();
-        assert_eq!(sum, size_of::<M>(), "{} has hidden padding", M::NAME);
-        for pair in M::FIELDS.windows(2) {
-            assert_eq!(pair[0].offset + pair[0].size, pair[1].offset, "{}", M::NAME);
+    fn no_padding(message: &Definition) {
+        let sum: usize = message.fields.iter().map(|f| f.size).sum();
+        assert_eq!(sum, message.size, "{} has hidden padding", message.name);
+        for pair in message.fields.windows(2) {
+            assert_eq!(pair[0].offset + pair[0].size, pair[1].offset, "{}", message.name);
         }
     }
 
@@ -338,12 +369,9 @@ mod tests {
     fn messages_have_no_padding() {
         let sum: usize = Header::FIELDS.iter().map(|f| f.size).sum();
         assert_eq!(sum, size_of::<Header>());
-        no_padding::<JointMeasured>();
-        no_padding::<JointSmoothed>();
-        no_padding::<TorqueModel>();
-        no_padding::<FrictionTorque>();
-        no_padding::<PayloadEstimate>();
-        no_padding::<ResidualWatch>();
+        for message in MESSAGES {
+            no_padding(message);
+        }
     }
 
     #[test]

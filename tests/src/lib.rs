@@ -2,14 +2,56 @@
 //!
 //! The stand-in stages in `src/bin` show that any executable which speaks an edge's messages can take a box.
 
+use lacuna_interfaces::RobotFile;
+use lacuna_simulate::config::TrajectoryGroup;
+use lacuna_simulate::demo::DEMO_ROBOT;
+use lacuna_simulate::reference::Kinds;
+use lacuna_simulate::{SimulationConfig, simulate, write_csv};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
+
+/// (log time, bytes) of every message, by topic.
+pub type Messages = BTreeMap<String, Vec<(u64, Vec<u8>)>>;
+
+/// All messages of a recording, read with the `mcap` crate.
+///
+/// # Panics
+/// If it is no MCAP file.
+pub fn messages(path: &Path) -> Messages {
+    let bytes = std::fs::read(path).expect("recording");
+    let mut all = Messages::new();
+    for message in mcap::MessageStream::new(&bytes).expect("an MCAP file") {
+        let message = message.expect("a message");
+        let entry = all.entry(message.channel.topic.clone()).or_default();
+        entry.push((message.log_time, message.data.into_owned()));
+    }
+    all
+}
+
+/// A Python with what `probe` (a script's arguments) needs; without one the test says that it is skipped.
+///
+/// # Panics
+/// If a Python was named but is unfit: a mistake in the set-up, not a reason to skip.
+pub fn python(test: &str, probe: &[&str]) -> Option<PathBuf> {
+    let Some(python) = std::env::var_os("LACUNA_TEST_PYTHON").map(PathBuf::from) else {
+        eprintln!("SKIPPED: {test}: LACUNA_TEST_PYTHON names no Python");
+        return None;
+    };
+    let out = Command::new(&python).args(probe).current_dir(workspace()).output().expect("Python starts");
+    assert!(out.status.success(), "{}: {}", python.display(), String::from_utf8_lossy(&out.stderr));
+    Some(python)
+}
 
 /// A small Delta robot for graphs that need none of its physics.
 pub const ROBOT: &str = "kind = \"delta\"\nname = \"test-delta\"\n[geometry]\nl1 = 0.35\nl2 = 0.88\nra = 0.2\nrb = 0.05\n\
 [mass]\nplatform = 1.1\nupper_arm = 1.8\nforearm_point = 0.22\nrotor_inertia = 0.06\n[drive]\ngear_ratio = 33\n\
 encoder_bits = 20\nsample_rate_hz = 1000\n";
+
+/// A model file for the demo's Delta, with friction and noise.
+pub const MODEL: &str = "schema = \"lacuna.model/1\"\nrobot = \"D3-1200-class\"\n[rigid_body]\nrho1 = 1.1\nrho2 = 1.05\n\
+[friction]\nf_v = [0.5, 0.5, 0.5]\nf_c = [1.5, 1.5, 1.5]\n[noise]\nsd_tau_nm = [0.5, 0.5, 0.5]\n";
 
 /// Directory of the executables under test.
 ///
@@ -122,6 +164,24 @@ impl Bench {
         let dir = tempfile::tempdir().expect("temporary folder");
         std::fs::write(dir.path().join("robot.toml"), ROBOT).expect("robot file");
         Self { dir }
+    }
+
+    /// A fresh folder with `robot.toml` and `model.toml` of the demo's Delta, and `run.csv`: pick-and-place of `seconds`.
+    ///
+    /// # Panics
+    /// If the simulation fails or the folder cannot be written.
+    pub fn with_motion(seconds: f64) -> Self {
+        let bench = Self::new();
+        bench.write("robot.toml", DEMO_ROBOT);
+        bench.write("model.toml", MODEL);
+        let robot = RobotFile::parse(DEMO_ROBOT).expect("robot");
+        let group = TrajectoryGroup { kind: Kinds::PickPlace, duration_s: seconds, count: 1, intensity: 0.6 };
+        let config = SimulationConfig { trajectories: vec![group], ..SimulationConfig::default() };
+        let simulation = simulate(&robot, None, &config).expect("simulation");
+        let mut csv = Vec::new();
+        write_csv(&simulation.recordings[0], &mut csv).expect("csv");
+        bench.write("run.csv", &String::from_utf8(csv).expect("text"));
+        bench
     }
 
     /// The folder.

@@ -3,34 +3,12 @@
 
 use lacuna_interfaces::RobotFile;
 use lacuna_recording::ros::cdr::Cursor;
-use lacuna_simulate::config::TrajectoryGroup;
 use lacuna_simulate::demo::DEMO_ROBOT;
-use lacuna_simulate::reference::Kinds;
-use lacuna_simulate::{SimulationConfig, simulate, write_csv};
-use lacuna_tests::{Bench, error_line, report, shared_data, wait_for, workspace};
+use lacuna_tests::{Bench, MODEL, Messages, error_line, messages, report, shared_data, wait_for, workspace};
 use rustix::process::{Pid, Signal, kill_process};
-use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Command, Output};
 use std::time::Duration;
-
-const MODEL: &str = "schema = \"lacuna.model/1\"\nrobot = \"D3-1200-class\"\n[rigid_body]\nrho1 = 1.1\nrho2 = 1.05\n\
-[friction]\nf_v = [0.5, 0.5, 0.5]\nf_c = [1.5, 1.5, 1.5]\n[noise]\nsd_tau_nm = [0.5, 0.5, 0.5]\n";
-
-/// A folder with robot, model and a pick-and-place recording of `seconds`.
-fn folder(seconds: f64) -> Bench {
-    let bench = Bench::new();
-    bench.write("robot.toml", DEMO_ROBOT);
-    bench.write("model.toml", MODEL);
-    let robot = RobotFile::parse(DEMO_ROBOT).expect("robot");
-    let group = TrajectoryGroup { kind: Kinds::PickPlace, duration_s: seconds, count: 1, intensity: 0.6 };
-    let config = SimulationConfig { trajectories: vec![group], ..SimulationConfig::default() };
-    let simulation = simulate(&robot, None, &config).expect("simulation");
-    let mut csv = Vec::new();
-    write_csv(&simulation.recordings[0], &mut csv).expect("csv");
-    bench.write("run.csv", &String::from_utf8(csv).expect("text"));
-    bench
-}
 
 fn replay_with(bench: &Bench, graph: &Path, sets: &[&str]) -> Output {
     let graph = graph.display().to_string();
@@ -44,20 +22,6 @@ fn replay_with(bench: &Bench, graph: &Path, sets: &[&str]) -> Output {
 
 fn replay(bench: &Bench, sets: &[&str]) -> Output {
     replay_with(bench, &workspace().join("launch/replay.toml"), sets)
-}
-
-/// (log time, bytes) of every message, by topic.
-type Messages = BTreeMap<String, Vec<(u64, Vec<u8>)>>;
-
-fn messages(path: &Path) -> Messages {
-    let bytes = std::fs::read(path).expect("recording");
-    let mut all = Messages::new();
-    for message in mcap::MessageStream::new(&bytes).expect("an MCAP file") {
-        let message = message.expect("a message");
-        let entry = all.entry(message.channel.topic.clone()).or_default();
-        entry.push((message.log_time, message.data.into_owned()));
-    }
-    all
 }
 
 fn efforts(messages: &Messages, topic: &str) -> Vec<Vec<f64>> {
@@ -78,7 +42,7 @@ fn efforts(messages: &Messages, topic: &str) -> Vec<Vec<f64>> {
 
 #[test]
 fn every_sample_is_recorded_once_in_order_and_twice_the_same() {
-    let bench = folder(3.0);
+    let bench = Bench::with_motion(3.0);
     let rows = std::fs::read_to_string(bench.path().join("run.csv")).expect("csv").lines().count() as u64 - 1;
     let mut runs = Vec::new();
     for (out, buffer) in [("a.mcap", ""), ("b.mcap", "buffer = 3\n")] {
@@ -114,7 +78,7 @@ fn independent_readers_see_what_was_recorded() {
         eprintln!("SKIPPED: independent_readers_see_what_was_recorded: no Python with mcap (LACUNA_TEST_PYTHON)");
         return;
     };
-    let bench = folder(2.0);
+    let bench = Bench::with_motion(2.0);
     report(&replay(&bench, &[]));
     let ours = messages(&bench.path().join("run.mcap"));
     let out = Command::new(python)
@@ -151,10 +115,10 @@ fn independent_readers_see_what_was_recorded() {
 
 #[test]
 fn stages_are_swapped_by_the_launch_file_alone() {
-    let bench = folder(3.0);
+    let bench = Bench::with_motion(3.0);
     let text = std::fs::read_to_string(workspace().join("launch/replay.toml")).expect("graph");
     let other = text
-        .replace("exec = \"lacuna-friction\"", "exec = \"lacuna-test-friction\"")
+        .replace("friction = \"lacuna-friction\"", "friction = \"lacuna-test-friction\"")
         .replace("exec = \"lacuna-torque\"", "exec = \"lacuna-test-torque\"");
     let graph = bench.write("other.toml", &other);
     let done = replay_with(&bench, &graph, &[]);
@@ -189,7 +153,7 @@ fn bad_input_exits_2_with_one_line_and_leaves_no_complete_recording() {
         ("short row", |t| line(t, 503, |_| "0.502,0.1".to_owned()), &["run.csv:503"]),
     ];
     // Forearms that cannot meet in the recorded poses.
-    let bench = folder(1.0);
+    let bench = Bench::with_motion(1.0);
     bench.write("robot.toml", &DEMO_ROBOT.replace("l2 = 0.88", "l2 = 0.36"));
     let done = replay(&bench, &[]);
     let words = error_line(&done);
@@ -197,7 +161,7 @@ fn bad_input_exits_2_with_one_line_and_leaves_no_complete_recording() {
     assert!(words.contains("run.csv") && words.contains("workspace"), "{words}");
     assert!(!complete(&bench.path().join("run.mcap")));
     for (what, edit, expected) in cases {
-        let bench = folder(1.0);
+        let bench = Bench::with_motion(1.0);
         let csv = std::fs::read_to_string(bench.path().join("run.csv")).expect("csv");
         bench.write("run.csv", &edit(&csv));
         let done = replay(&bench, &[]);
@@ -227,7 +191,7 @@ fn bad_files_exit_2_with_one_line_before_anything_starts() {
         ("too few friction values", "model.toml", MODEL.replace("[1.5, 1.5, 1.5]", "[1.5]"), "f_c"),
     ];
     for (what, file, text, expected) in cases {
-        let bench = folder(0.5);
+        let bench = Bench::with_motion(0.5);
         bench.write(file, &text);
         let done = replay(&bench, if what == "robot of other joints" { &["model="] } else { &[] });
         let line = error_line(&done);
@@ -240,13 +204,13 @@ fn bad_files_exit_2_with_one_line_before_anything_starts() {
         ("robot=absent.toml", "absent.toml"),
         ("model=absent.toml", "absent.toml"),
     ] {
-        let bench = folder(0.5);
+        let bench = Bench::with_motion(0.5);
         let done = replay(&bench, &[set]);
         assert_eq!(done.status.code(), Some(2));
         assert!(error_line(&done).contains(expected), "{}", error_line(&done));
     }
     // An existing recording is not replaced unless asked.
-    let bench = folder(0.5);
+    let bench = Bench::with_motion(0.5);
     bench.write("run.mcap", "precious");
     let done = replay(&bench, &[]);
     assert_eq!(done.status.code(), Some(2), "{}", error_line(&done));
@@ -260,7 +224,7 @@ fn complete(path: &Path) -> bool {
 
 #[test]
 fn a_killed_stage_leaves_a_readable_incomplete_recording() {
-    let bench = folder(8.0);
+    let bench = Bench::with_motion(8.0);
     let graph = workspace().join("launch/replay.toml").display().to_string();
     let sets = ["recording=run.csv", "robot=robot.toml", "model=model.toml", "out=run.mcap", "rate=1.0"];
     let args: Vec<&str> = sets.iter().flat_map(|s| ["--set", s]).collect();
@@ -281,7 +245,7 @@ fn a_killed_stage_leaves_a_readable_incomplete_recording() {
 
 #[test]
 fn a_recorder_killed_in_a_live_run_goes_on_in_a_new_file() {
-    let bench = folder(5.0);
+    let bench = Bench::with_motion(5.0);
     let graph = workspace().join("launch/live.toml").display().to_string();
     let sets = ["recording=run.csv", "robot=robot.toml", "model=model.toml", "out=run.mcap"];
     let args: Vec<&str> = sets.iter().flat_map(|s| ["--set", s]).collect();

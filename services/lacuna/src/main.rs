@@ -11,6 +11,8 @@ mod graph;
 mod identify;
 mod identify_report;
 mod info;
+mod install;
+mod messages;
 mod payload;
 mod payload_report;
 mod progress;
@@ -24,13 +26,21 @@ mod survey;
 mod top;
 mod words;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use lacuna_stage::Failure;
 use std::process::ExitCode;
 
+/// Stands at the end of every command's help and man page.
+const EXIT_CODES: &str = "\
+Exit codes:
+  0  done
+  1  failed
+  2  bad input or use
+  3  finished, but samples were lost
+
+Results go to standard output (with --json as JSON, and nothing else), messages to standard error.";
+
 /// Finds the physics that a robot's model leaves out, and runs the process graph that shows it.
-///
-/// Exit codes: 0 done, 1 failed, 2 bad input or use, 3 finished but samples were lost.
 #[derive(Parser)]
 #[command(version, max_term_width = 100)]
 struct Cli {
@@ -66,6 +76,12 @@ enum Command {
     Info(info::InfoArgs),
     /// Complete an MCAP recording that was cut off or damaged.
     Recover(recover::RecoverArgs),
+    /// Print the bus's messages as another language declares them.
+    Messages(messages::MessagesArgs),
+    /// Print the completions of a shell.
+    Completions(install::CompletionsArgs),
+    /// Write the man pages.
+    Man(install::ManArgs),
     /// The paper's experiment on a simulated robot, through the real process graph.
     Demo(demo::DemoArgs),
     /// Hold the diagnosis against answers that it has not seen.
@@ -74,8 +90,14 @@ enum Command {
     Bench(bench::BenchArgs),
 }
 
+/// The commands with what all of them say.
+fn command() -> clap::Command {
+    Cli::command().after_long_help(EXIT_CODES).mut_subcommands(|c| c.after_long_help(EXIT_CODES))
+}
+
 fn main() -> ExitCode {
-    let result = match Cli::parse().command {
+    let cli = Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|e| e.exit());
+    let result = match cli.command {
         Command::Up(args) => graph::up(args),
         Command::Down(args) => runs::down(&args),
         Command::Status(args) => runs::status(&args),
@@ -89,6 +111,9 @@ fn main() -> ExitCode {
         Command::Excite(args) => excite::excite(&args),
         Command::Info(args) => info::info(&args),
         Command::Recover(args) => recover::recover(&args),
+        Command::Messages(args) => messages::messages(&args),
+        Command::Completions(args) => install::completions(&args, command()),
+        Command::Man(args) => install::man(&args, command()),
         Command::Demo(args) => demo::demo(&args),
         Command::Prove(args) => prove::prove(&args),
         Command::Bench(args) => bench::bench(&args),

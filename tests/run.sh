@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Runs all tests:  ./tests/run.sh          the tests every change must pass (about ten minutes cold, on two cores)
 #                  ./tests/run.sh --all    also the long ones
-# Independent readers of recordings (Python: mcap, mcap-ros2-support, rosbags) go into a virtual environment of
+# Independent readers, viewer and stage (Python: mcap, mcap-ros2-support, rosbags, websockets, iceoryx2) go into a virtual environment of
 # their own under target/; where that cannot be made, the tests that need them say SKIPPED.
 set -uo pipefail
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
@@ -15,12 +15,12 @@ case "${1:-}" in
 esac
 
 venv=$target/test-venv
-packages="mcap==1.6.0 mcap-ros2-support==0.6.0 rosbags==0.11.9 numpy"
-if [ ! -f "$venv/ready" ]; then
+packages="mcap==1.6.0 mcap-ros2-support==0.6.0 rosbags==0.11.9 numpy websockets==17.4 iceoryx2==0.10.0"
+if [ "$(cat "$venv/ready" 2>/dev/null)" != "$packages" ]; then
     mkdir -p "$target"
     rm -rf "$venv"
     if python3 -m venv "$venv" && "$venv/bin/pip" install --quiet --disable-pip-version-check $packages; then
-        touch "$venv/ready"
+        echo "$packages" > "$venv/ready"
     else
         echo "note: no Python environment; tests with independent readers will be skipped" >&2
     fi
@@ -34,6 +34,18 @@ if [ -f "$venv/ready" ] && [ ! -f "$venv/ready-pin" ]; then
     fi
 fi
 [ -f "$venv/ready" ] && export LACUNA_TEST_PYTHON=$venv/bin/python
+
+# Tools of the long tests: the tunnel between machines (fifteen minutes of processor time, once) and cargo-deb.
+if [ ${#long[@]} -gt 0 ]; then
+    export LACUNA_TEST_TOOLS=$target/tools
+    for tool in "iox2-link-tunnel-zenoh iceoryx2-integrations-zenoh-link-tunnel-cli@0.10.0" "cargo-deb cargo-deb"; do
+        read -r executable crate <<< "$tool"
+        [ -x "$LACUNA_TEST_TOOLS/bin/$executable" ] && continue
+        CARGO_TARGET_DIR=$target/tools/build cargo install --quiet --locked --root "$LACUNA_TEST_TOOLS" "$crate" ||
+            echo "note: no $executable; the tests that need it will be skipped" >&2
+    done
+    rm -rf "$target/tools/build"
+fi
 
 cargo build --release --workspace --bins || exit 1
 log=$(mktemp)

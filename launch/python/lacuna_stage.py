@@ -205,7 +205,7 @@ def relay(bus, stage, source, sink, restarts, ended):
     """Passes every sample through the stage until the stream ends; returns the last number and the number of joints."""
     bell = bus.wake(bus.node["name"]).listener_builder().create()
     say("ready")
-    message, last, told, flags = sink.message(), 0, time.monotonic(), 0
+    message, last, told, flags, sleep_ms = sink.message(), 0, time.monotonic(), 0, 1
     while True:
         # Asked before the buffer is looked at: what came until then is still taken.
         over = bus.live and source.topic in ended
@@ -215,7 +215,9 @@ def relay(bus, stage, source, sink, restarts, ended):
                 return last, message.header.joints
             if sink.unnotified:
                 sink.ring()
-            bell.timed_wait(iox2.Duration.from_millis(100))
+            # A ring can be lost within iceoryx2 0.10: short sleeps after a ring, longer ones the longer nothing comes.
+            rung = bell.timed_wait(iox2.Duration.from_millis(sleep_ms))
+            sleep_ms = 1 if rung else min(2 * sleep_ms, 100)
         else:
             sample, gap, end = got
             if end:

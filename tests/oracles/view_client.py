@@ -68,19 +68,20 @@ def compare(came, recording):
     from mcap.records import Schema
     from mcap_ros2.decoder import DecoderFactory
 
-    factory, recorded = DecoderFactory(), {}
+    recorded = {}
     with open(recording, "rb") as file:
-        for _, channel, message, decoded in make_reader(file, decoder_factories=[factory]).iter_decoded_messages():
+        for _, channel, message, decoded in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
             recorded[channel.topic, message.log_time] = plain(decoded)
     with open(came, "rb") as file:
         channels, messages = pickle.load(file)
-    decoders, result = {}, {}
+    # The factory remembers a schema by its number: those of the viewer have numbers of their own.
+    factory, decoders, result = DecoderFactory(), {}, {}
     for subscription, log_time, data in messages:
         channel = channels[subscription]
         topic = channel["topic"]
         if topic not in decoders:
             text = channel["schema"].encode()
-            schema = Schema(id=1, name=channel["schemaName"], encoding=channel["schemaEncoding"], data=text)
+            schema = Schema(id=len(decoders) + 1, name=channel["schemaName"], encoding=channel["schemaEncoding"], data=text)
             decoders[topic] = factory.decoder_for(channel["encoding"], schema)
         entry = result.setdefault(topic, {"came": 0, "equal": 0, "stamps": [], "difference": None})
         entry["came"] += 1

@@ -44,6 +44,13 @@ pub fn python(test: &str, probe: &[&str]) -> Option<PathBuf> {
     Some(python)
 }
 
+/// A tool that the test command's `--all` builds (`LACUNA_TEST_TOOLS`), else one on PATH.
+pub fn tool(name: &str) -> Option<PathBuf> {
+    let tools = std::env::var_os("LACUNA_TEST_TOOLS").map(|dir| PathBuf::from(dir).join("bin").join(name));
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    tools.into_iter().chain(std::env::split_paths(&path).map(|dir| dir.join(name))).find(|p| p.is_file())
+}
+
 /// A small Delta robot for graphs that need none of its physics.
 pub const ROBOT: &str = "kind = \"delta\"\nname = \"test-delta\"\n[geometry]\nl1 = 0.35\nl2 = 0.88\nra = 0.2\nrb = 0.05\n\
 [mass]\nplatform = 1.1\nupper_arm = 1.8\nforearm_point = 0.22\nrotor_inertia = 0.06\n[drive]\ngear_ratio = 33\n\

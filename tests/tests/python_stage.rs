@@ -90,7 +90,10 @@ fn a_python_stage_says_what_it_cannot_do() {
     let bench = Bench::with_motion(0.5);
     let (generated, _) = generated(&bench);
     let model = std::fs::read_to_string(bench.path().join("model.toml")).expect("model");
-    bench.write("model.toml", &format!("{model}[[term]]\neffect = \"viscous\"\njoints = [\"q1\"]\nparameters = {{ f_v = 0.1 }}\n"));
+    bench.write(
+        "model.toml",
+        &format!("{model}[[term]]\neffect = \"viscous\"\njoints = [\"q1\"]\nparameters = {{ f_v = 0.1 }}\n"),
+    );
     let out = up(&bench, &python, &generated, "never.mcap", "launch/replay.toml", "--quiet");
     assert_eq!(out.status.code(), Some(2));
     let line = error_line(&out);

@@ -61,7 +61,9 @@ fn a_viewer_gets_what_is_recorded_thinned_out() {
         assert!(came >= 20, "{topic}: only {came} messages of four seconds at 50 Hz");
         assert_eq!(found["equal"].as_u64(), Some(came), "{topic}: {}", found["difference"]);
         let stamps: Vec<u64> = found["stamps"].as_array().expect("stamps").iter().filter_map(|s| s.as_u64()).collect();
-        assert!(stamps.windows(2).all(|w| w[0] / SLOT_NS < w[1] / SLOT_NS), "{topic}: more than one in a slot");
+        // The monitor (and the status that goes with it) also tells of an alarm that changes within a slot.
+        let alone = stamps.windows(2).all(|w| w[0] / SLOT_NS < w[1] / SLOT_NS);
+        assert!(alone || ["/monitor", "/status"].contains(&topic.as_str()), "{topic}: more than one in a slot");
     }
     let details = &report["nodes"]["view"]["details"];
     for (topic, received) in report["nodes"]["view"]["received"].as_object().expect("counts") {
@@ -209,7 +211,10 @@ fn layouts_are_made_for_any_joints_and_rerun_finds_its_entities() {
             .current_dir(bench.path())
             .output()
             .expect("Python starts");
-        (done.status.code(), ["foxglove.json", "plotjuggler.xml"].map(|f| std::fs::read_to_string(bench.path().join(out).join(f)).ok()))
+        (
+            done.status.code(),
+            ["foxglove.json", "plotjuggler.xml"].map(|f| std::fs::read_to_string(bench.path().join(out).join(f)).ok()),
+        )
     };
     let (_, same) = make("same", &[]);
     let committed = ["foxglove.json", "plotjuggler.xml"].map(|f| std::fs::read_to_string(layouts.join(f)).ok());

@@ -61,7 +61,7 @@ fn locate(exec: &str) -> Result<PathBuf, Failure> {
         .map(|p| std::env::split_paths(&p).map(|dir| dir.join(exec)).collect::<Vec<_>>())
         .unwrap_or_default();
     beside.into_iter().chain(on_path).find(|p| p.is_file()).ok_or_else(|| {
-        Failure::usage(format!("{exec}: no such executable beside lacuna or on PATH; build the whole workspace first"))
+        Failure::usage(format!("{exec}: no such executable beside lacuna or on PATH; expected every stage installed (docs/INSTALL.md) or the whole workspace built"))
     })
 }
 

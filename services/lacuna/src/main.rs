@@ -38,7 +38,7 @@ Exit codes:
   2  bad input or use
   3  finished, but samples were lost
 
-Results go to standard output (with --json as JSON, and nothing else), messages to standard error.";
+Results go to standard output, messages to standard error.";
 
 /// Finds the physics that a robot's model leaves out, and runs the process graph that shows it.
 #[derive(Parser)]

@@ -41,7 +41,9 @@ fn ctype(field: &Field) -> Result<String, Failure> {
         "Stamps" => "ctypes.c_int64 * MAX_JOINTS".to_owned(),
         "Words" => "ctypes.c_uint32 * MAX_JOINTS".to_owned(),
         "Hops" => "ctypes.c_uint64 * MAX_HOPS".to_owned(),
-        other => return Err(Failure::run(format!("field {}: found type {other}, which has no ctypes name", field.name))),
+        other => {
+            return Err(Failure::run(format!("field {}: found type {other}, which has no ctypes name", field.name)));
+        }
     })
 }
 

@@ -109,7 +109,9 @@ impl Sink for View {
         let address = SocketAddr::new(config.address, server.port());
         tracing::info!("viewers connect to ws://{address}");
         if !config.address.is_loopback() {
-            tracing::warn!("whoever reaches {address} can read the robot's data: it is neither encrypted nor protected");
+            tracing::warn!(
+                "whoever reaches {address} can read the robot's data: it is neither encrypted nor protected"
+            );
         }
         let thinners = context.topics.iter().map(|(t, _)| (t.clone(), Thinner::new(config.rate_hz))).collect();
         Ok(Self { server, address, board, lanes, topics, thinners, missing: 0, said: 0, said_at: Instant::now() })

@@ -231,13 +231,7 @@ impl Topics {
 
     /// Writes to a topic, if it is recorded.
     #[inline]
-    pub(crate) fn write(
-        &self,
-        topic: usize,
-        to: &mut impl Messages,
-        header: &Header,
-        fill: impl FnOnce(Filler<'_>),
-    ) {
+    pub(crate) fn write(&self, topic: usize, to: &mut impl Messages, header: &Header, fill: impl FnOnce(Filler<'_>)) {
         if let Some(Some(topic)) = self.list.get(topic) {
             topic.write(to, header, fill);
         }

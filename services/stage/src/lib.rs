@@ -1,6 +1,6 @@
 //! The process around a stage, and the only crate that links the bus (iceoryx2).
 //!
-//! A stage's `main` is one call: [`run_stage`], [`run_source`] or [`run_sink`]. The harness reads the
+//! A stage's `main` is one call: [`run_stage`], [`run_source`], [`run_sink`] or [`run_link`]. The harness reads the
 //! graph from the run directory, opens the ports, says `ready` on standard output, moves messages, passes
 //! the end of the stream on and says `done` with its counts. Standard output carries one JSON object a line
 //! ([`control::Event`]) for the supervisor; standard error carries the log.
@@ -17,6 +17,7 @@ pub mod clock;
 pub mod control;
 pub mod domain;
 mod latency;
+mod link_loop;
 mod process;
 mod realtime;
 mod sink_loop;
@@ -25,6 +26,7 @@ mod stage_loop;
 
 pub use control::{Event, Gauge, HopLatency, Order, StageReport};
 pub use domain::{Domain, RunDir};
+pub use link_loop::{Carrier, LinkContext, run_link};
 pub use process::Failure;
 pub use sink_loop::{AnyMessage, Sink, SinkContext, run_sink};
 pub use source_loop::{Next, Source, SourceContext, run_source};

@@ -1,6 +1,6 @@
 //! The process around a [`Sink`]: a reader of any number of topics, whatever known message they carry.
 
-use crate::bus::{Input, Received, Wake, topic_type};
+use crate::bus::{Input, Received, Wake, wait_for_type};
 use crate::clock::monotonic_ns;
 use crate::control::{Event, StageReport};
 use crate::domain::Domain;
@@ -13,11 +13,9 @@ use lacuna_interfaces::{
 };
 use serde::de::DeserializeOwned;
 use std::process::ExitCode;
-use std::time::{Duration, Instant};
 
 /// Samples taken from one topic before the next one is looked at.
 const BURST: usize = 64;
-const OPEN_TIMEOUT: Duration = Duration::from_secs(10);
 
 macro_rules! messages {
     ($($name:ident),*) => {
@@ -173,28 +171,9 @@ fn body<S: Sink>(process: &Process) -> Result<StageReport, Failure> {
 
 /// Opens every input by the message its writer declared.
 fn open_inputs(domain: &Domain, process: &Process) -> Result<Vec<Option<AnyInput>>, Failure> {
-    let started = Instant::now();
     let mut inputs = Vec::new();
     for topic in &process.node.inputs {
-        let type_name = loop {
-            if let Some(name) = topic_type(topic) {
-                break Some(name);
-            }
-            // Its writer left while this process was being started again.
-            if process.ended(topic) {
-                break None;
-            }
-            if process.stop.requested() {
-                return Err(Failure::Stopped);
-            }
-            if started.elapsed() > OPEN_TIMEOUT {
-                return Err(Failure::run(format!(
-                    "topic \"{topic}\": nobody opened it within {} s",
-                    OPEN_TIMEOUT.as_secs()
-                )));
-            }
-            std::thread::sleep(Duration::from_millis(2));
-        };
+        let type_name = wait_for_type(topic, &process.stop, || process.ended(topic))?;
         inputs.push(type_name.map(|name| AnyInput::open(domain, &process.graph, topic, &name)).transpose()?);
     }
     Ok(inputs)

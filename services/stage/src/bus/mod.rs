@@ -6,13 +6,15 @@
 //! reader must drain before it waits.
 
 mod input;
+mod link;
 mod output;
 
 pub use input::{Input, Received};
+pub use link::{LinkReader, LinkWriter, link_topic};
 pub use output::Output;
 
 use crate::domain::Domain;
-use crate::process::Failure;
+use crate::process::{Failure, Stop};
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::*;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
@@ -55,6 +57,33 @@ pub fn topic_type(topic: &str) -> Option<String> {
     let name = service_name(topic).ok()?;
     let details = ipc::Service::details(&name, Config::global_config(), MessagingPattern::PublishSubscribe).ok()??;
     Some(details.static_details.publish_subscribe().message_type_details().payload.type_name().to_string())
+}
+
+/// Waits until somebody has opened `topic` and returns the type name of its message; `None` once it `ended`.
+///
+/// # Errors
+/// [`Failure`] on a stop request, or if nobody opens it in time.
+pub(crate) fn wait_for_type(topic: &str, stop: &Stop, ended: impl Fn() -> bool) -> Result<Option<String>, Failure> {
+    let started = Instant::now();
+    loop {
+        if let Some(name) = topic_type(topic) {
+            return Ok(Some(name));
+        }
+        // Its writer left while this process was being started again.
+        if ended() {
+            return Ok(None);
+        }
+        if stop.requested() {
+            return Err(Failure::Stopped);
+        }
+        if started.elapsed() > OPEN_TIMEOUT {
+            return Err(Failure::run(format!(
+                "topic \"{topic}\": nobody opened it within {} s",
+                OPEN_TIMEOUT.as_secs()
+            )));
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    }
 }
 
 /// Retries `open` while the bus is busy creating or removing the service; any other error is final.

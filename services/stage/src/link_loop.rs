@@ -1,0 +1,351 @@
+//! The process around a link: a live stream leaves a graph here and enters another graph on another machine.
+//!
+//! The sender is a reader of its topic like any other and hands every sample to what carries it. The receiver is a
+//! source: it numbers nothing anew, so that a hole in the numbers is what was lost on the way; it is counted and flagged.
+
+use crate::bus::{Input, LinkReader, LinkWriter, Output, Received, Wake, wait_for_type};
+use crate::clock::monotonic_ns;
+use crate::control::{Event, Gauge, StageReport};
+use crate::domain::RunDir;
+use crate::latency::LatencyMeter;
+use crate::process::{Failure, Process, Pulse, main_with};
+use lacuna_interfaces::graph::Mode;
+use lacuna_interfaces::wire::MAX_HOPS;
+use lacuna_interfaces::{
+    BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, PayloadEstimate, ResidualWatch, TorqueModel, Wire,
+    flag,
+};
+use serde::de::DeserializeOwned;
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+/// How often the carrier is looked at.
+const LOOK: Duration = Duration::from_millis(100);
+/// A receiver that found nothing looks again after this; its sender on another machine cannot ring.
+const POLL: Duration = Duration::from_micros(250);
+/// The end of the stream is said so often: a receiver that joins late or loses one must hear it, too.
+const FAREWELLS: u32 = 25;
+const BETWEEN_FAREWELLS: Duration = Duration::from_millis(20);
+
+/// What a carrier is told.
+#[derive(Debug, Clone, Copy)]
+pub struct LinkContext<'a> {
+    /// The run's directory: `domain.toml` is there.
+    pub run: &'a RunDir,
+    /// Node name.
+    pub node: &'a str,
+    /// Topic of the graph whose stream is carried.
+    pub topic: &'a str,
+    /// True at the end where the stream leaves.
+    pub sends: bool,
+}
+
+/// What carries the stream between the machines: a process beside this one that attaches to the link's topic.
+pub trait Carrier: Sized {
+    /// The node's `[config]` table.
+    type Config: DeserializeOwned;
+
+    /// Checks the configuration.
+    ///
+    /// # Errors
+    /// [`BadInput`] if it cannot be used.
+    fn new(config: Self::Config, context: &LinkContext<'_>) -> Result<Self, BadInput>;
+
+    /// Name of the message that is carried: a receiver cannot ask the other machine.
+    fn message(&self) -> Option<&str>;
+
+    /// How long the machines may take to find each other before the stream begins.
+    fn settle(&self) -> Duration;
+
+    /// True if both machines have one clock: stamps of earlier hops then mean something here.
+    fn one_clock(&self) -> bool;
+
+    /// Starts it.
+    ///
+    /// # Errors
+    /// A reason, if it cannot be started.
+    fn start(&mut self) -> Result<(), String>;
+
+    /// Looks after it.
+    ///
+    /// # Errors
+    /// A reason, if it has ended.
+    fn check(&mut self) -> Result<(), String>;
+}
+
+/// `main` of a link process: a node with an input sends, a node with an output receives.
+pub fn run_link<C: Carrier>() -> ExitCode {
+    main_with(body::<C>)
+}
+
+/// Runs `$run` for the message whose `$name` is `$found`.
+macro_rules! dispatch {
+    ($found:expr, $name:ident, $run:ident $args:tt) => {
+        dispatch!($found, $name, $run $args, JointMeasured JointSmoothed TorqueModel FrictionTorque PayloadEstimate ResidualWatch)
+    };
+    ($found:expr, $name:ident, $run:ident $args:tt, $($message:ident)*) => {
+        match $found.as_str() {
+            $(found if found == $name::<$message>() => $run::<$message, C> $args,)*
+            other => Err(Failure::usage(format!(
+                "link: found message {other}; expected one of {}",
+                [$($name::<$message>()),*].join(", ")
+            ))),
+        }
+    };
+}
+
+fn bus_name<W: Wire>() -> String {
+    W::type_name()
+}
+
+fn plain_name<W: Wire>() -> String {
+    W::NAME.to_owned()
+}
+
+fn body<C: Carrier>(process: &Process) -> Result<StageReport, Failure> {
+    let name = &process.node.name;
+    let bad = |what: String| Failure::usage(format!("node \"{name}\": {what}"));
+    if process.graph.mode != Mode::Live {
+        return Err(bad("a link carries live streams only, and this graph is a replay; expected mode = \"live\" (move the recording instead)".to_owned()));
+    }
+    let (topic, sends) = match (process.node.inputs.as_slice(), process.node.output.as_deref()) {
+        ([topic], None) => (topic.as_str(), true),
+        ([], Some(topic)) => (topic, false),
+        _ => return Err(bad("found neither a sender nor a receiver; expected one input, or one output".to_owned())),
+    };
+    let context = LinkContext { run: &process.run, node: name, topic, sends };
+    let carrier = C::new(process.config()?, &context).map_err(|e| bad(e.to_string()))?;
+    let domain = process.domain()?;
+    if sends {
+        let Some(found) = wait_for_type(topic, &process.stop, || process.ended(topic))? else {
+            Event::Ready.emit();
+            return Ok(StageReport::default());
+        };
+        dispatch!(found, bus_name, send(process, &domain, topic, carrier))
+    } else {
+        let found = carrier.message().unwrap_or(JointMeasured::NAME).to_owned();
+        dispatch!(found, plain_name, receive(process, &domain, topic, carrier))
+    }
+}
+
+/// Waits, looking after the carrier.
+fn settle<C: Carrier>(carrier: &mut C, process: &Process) -> Result<(), Failure> {
+    let until = Instant::now() + carrier.settle();
+    while Instant::now() < until && !process.stop.requested() {
+        carrier.check().map_err(Failure::run)?;
+        std::thread::sleep(LOOK.min(carrier.settle()));
+    }
+    Ok(())
+}
+
+fn send<W: Wire, C: Carrier>(
+    process: &Process,
+    domain: &crate::Domain,
+    topic: &str,
+    mut carrier: C,
+) -> Result<StageReport, Failure> {
+    let mut wake = Wake::open(domain, &process.node.name)?;
+    let mut input = Input::<W>::open(domain, &process.graph, topic)?;
+    let mut link = LinkWriter::<W>::open(domain, topic)?;
+    carrier.start().map_err(Failure::run)?;
+    settle(&mut carrier, process)?;
+    Event::Ready.emit();
+
+    let mut pulse = Pulse::new();
+    let mut looked = Instant::now();
+    let mut last: Option<Header> = None;
+    loop {
+        let ended = process.ended(topic);
+        match input.receive()? {
+            None if ended => break,
+            None => wake.wait(),
+            Some(Received::End) => break,
+            Some(Received::Sample { sample, missing }) => {
+                let mut message = sample.payload().0;
+                let header = message.header_mut();
+                header.restarts += process.restarts;
+                if missing > 0 || (process.restarts > 0 && last.is_none()) {
+                    header.flags |= flag::GAP;
+                }
+                if process.restarts > 0 && last.is_none() {
+                    Event::Flowing { at_ns: monotonic_ns() }.emit();
+                }
+                last = Some(*header);
+                link.send(&message)?;
+            }
+        }
+        if process.stop.requested() {
+            return Err(Failure::Stopped);
+        }
+        if looked.elapsed() > LOOK {
+            looked = Instant::now();
+            carrier.check().map_err(Failure::run)?;
+        }
+        pulse.progress(input.received(), None, || Gauge {
+            dropped: link.dropped,
+            missing: input.missing(),
+            ..Gauge::default()
+        });
+    }
+    let report = StageReport {
+        received: [(topic.to_owned(), input.received())].into(),
+        dropped: link.dropped,
+        missing: input.missing(),
+        details: serde_json::json!({ "sent": link.sent }),
+        ..StageReport::default()
+    };
+    // Letting go of the input tells the writer that the sentinel was taken.
+    drop(input);
+    farewell(&mut link, last)?;
+    Ok(report)
+}
+
+/// Says several times that the stream is over, then gives the carrier the time to carry it.
+fn farewell<W: Wire>(link: &mut LinkWriter<W>, last: Option<Header>) -> Result<(), Failure> {
+    let mut end = W::default();
+    let header = end.header_mut();
+    header.seq = last.map_or(0, |h| h.seq) + 1;
+    header.joints = last.map_or(0, |h| h.joints);
+    header.flags = flag::END_OF_STREAM;
+    for _ in 0..FAREWELLS {
+        link.send(&end)?;
+        std::thread::sleep(BETWEEN_FAREWELLS);
+    }
+    Ok(())
+}
+
+fn receive<W: Wire, C: Carrier>(
+    process: &Process,
+    domain: &crate::Domain,
+    topic: &str,
+    mut carrier: C,
+) -> Result<StageReport, Failure> {
+    let link = LinkReader::<W>::open(domain, topic)?;
+    let mut output = Output::<W>::open(domain, &process.graph, topic, &process.stop)?;
+    carrier.start().map_err(Failure::run)?;
+    Event::Ready.emit();
+    process.wait_for_go();
+
+    let mut pulse = Pulse::new();
+    let mut looked = Instant::now();
+    let mut arrival = Arrival::default();
+    while !process.stop.requested() {
+        match link.receive()? {
+            None => {
+                output.flush();
+                std::thread::sleep(POLL);
+            }
+            Some(message) if message.header().has(flag::END_OF_STREAM) => {
+                arrival.missing += message.header().seq.saturating_sub(arrival.last_seq + 1);
+                break;
+            }
+            Some(mut message) => {
+                if arrival.takes(message.header_mut(), process.restarts, carrier.one_clock()) {
+                    output.send(&message)?;
+                }
+            }
+        }
+        if looked.elapsed() > LOOK {
+            looked = Instant::now();
+            carrier.check().map_err(Failure::run)?;
+        }
+        pulse.progress(arrival.received, None, || Gauge {
+            dropped: output.dropped(),
+            missing: arrival.missing,
+            ..Gauge::default()
+        });
+    }
+    let report = StageReport {
+        published: output.published(),
+        last_seq: arrival.last_seq,
+        dropped: output.dropped(),
+        missing: arrival.missing,
+        latency: if carrier.one_clock() { arrival.latency.report() } else { Vec::new() },
+        details: serde_json::json!({ "before_joining": arrival.before_joining, "repeated": arrival.repeated }),
+        ..StageReport::default()
+    };
+    process.stop.clear();
+    output.finish(arrival.last_seq + 1, process.robot.file.joint_count() as u32)?;
+    Ok(report)
+}
+
+/// What has come so far.
+struct Arrival {
+    last_seq: u64,
+    received: u64,
+    /// Numbers that never came, since the first that did.
+    missing: u64,
+    /// Numbers before the first that came: the stream had begun when the machines found each other.
+    before_joining: u64,
+    /// Numbers that came again, or late.
+    repeated: u64,
+    latency: LatencyMeter,
+}
+
+impl Default for Arrival {
+    fn default() -> Self {
+        let latency = LatencyMeter::new();
+        Self { last_seq: 0, received: 0, missing: 0, before_joining: 0, repeated: 0, latency }
+    }
+}
+
+impl Arrival {
+    /// Takes note of a sample and makes it one of this graph; `false` for one that must not go on.
+    fn takes(&mut self, header: &mut Header, restarts: u32, one_clock: bool) -> bool {
+        if header.seq <= self.last_seq {
+            self.repeated += 1;
+            return false;
+        }
+        let hole = header.seq - self.last_seq - 1;
+        if self.received > 0 {
+            self.missing += hole;
+        } else {
+            self.before_joining = hole;
+        }
+        if hole > 0 {
+            header.flags |= flag::GAP;
+        }
+        self.last_seq = header.seq;
+        self.received += 1;
+        header.restarts += restarts;
+        if one_clock {
+            self.latency.record(header, monotonic_ns());
+        } else {
+            // Stamps of another machine's clock say nothing here.
+            (header.hops, header.hop_ns) = (0, [0; MAX_HOPS]);
+        }
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header(seq: u64) -> Header {
+        Header { seq, hops: 2, hop_ns: [5, 6, 0, 0, 0, 0, 0, 0], ..Header::default() }
+    }
+
+    #[test]
+    fn holes_are_counted_from_the_first_sample_on_and_flagged() {
+        let mut arrival = Arrival::default();
+        let mut take = |seq: u64| {
+            let mut h = header(seq);
+            let taken = arrival.takes(&mut h, 0, false);
+            (taken, h.has(flag::GAP), h.hops, h.hop_ns[0])
+        };
+        // 1 to 4 were gone before the machines found each other; 7 is lost; 6 comes twice.
+        assert_eq!(take(5), (true, true, 0, 0));
+        assert_eq!(take(6), (true, false, 0, 0));
+        assert!(!take(6).0);
+        assert_eq!(take(8), (true, true, 0, 0));
+        assert_eq!((arrival.before_joining, arrival.missing, arrival.repeated, arrival.received), (4, 1, 1, 3));
+    }
+
+    #[test]
+    fn with_one_clock_the_stamps_go_on() {
+        let mut arrival = Arrival::default();
+        let mut h = header(1);
+        assert!(arrival.takes(&mut h, 3, true) && h.hops == 2 && h.restarts == 3 && !h.has(flag::GAP));
+    }
+}

@@ -1,7 +1,7 @@
 //! What every command keeps to: results on standard output, messages on standard error, the four exit codes, and help,
 //! man pages and completions that know them all.
 
-use lacuna_tests::{Bench, Chain, error_line, report};
+use lacuna_tests::{Bench, Chain, ROBOT, error_line, report};
 use std::collections::{BTreeMap, BTreeSet};
 use std::process::{Command, Stdio};
 
@@ -48,7 +48,7 @@ const JSON: [(&str, &[&str]); 12] = [
     ("status", &["status", "--json"]),
     ("top", &["top", "--once", "--json"]),
     ("recover", &["recover", "cut.mcap", "whole.mcap", "--json"]),
-    ("excite", &["excite", "--robot", "robot.toml", "--out", "motion.csv", "--duration", "2", "--json"]),
+    ("excite", &["excite", "--robot", "limited.toml", "--out", "motion.csv", "--candidates", "2", "--json"]),
     ("bench", &["bench", "stages", "--json"]),
     ("prove", &["prove", "concealed", "--cases", "1", "--json"]),
 ];
@@ -58,13 +58,18 @@ const LONG: [&str; 2] = ["bench", "prove"];
 
 #[test]
 fn json_is_alone_on_standard_output() {
-    let with: BTreeSet<String> =
-        commands().into_iter().filter(|(_, help)| help.lines().any(|l| l.trim_start().starts_with("--json"))).map(|(name, _)| name).collect();
+    let with: BTreeSet<String> = commands()
+        .into_iter()
+        .filter(|(_, help)| help.lines().any(|l| l.trim_start().starts_with("--json")))
+        .map(|(name, _)| name)
+        .collect();
     let known: BTreeSet<String> = JSON.iter().map(|(name, _)| (*name).to_owned()).collect();
     assert_eq!(with, known, "every command with --json needs an example here");
 
     let bench = Bench::new();
     bench.write("sim.toml", "[[trajectory]]\nkind = \"fourier\"\nduration_s = 3.0\ncount = 2\n");
+    let limits = "[limits]\nq_min_rad = -0.4\nq_max_rad = 1.1\nqd_max_rad_s = 6.0\nqdd_max_rad_s2 = 60.0\n";
+    bench.write("limited.toml", &format!("{ROBOT}{limits}"));
     bench.write("g.toml", &Chain { samples: 500, ..Chain::default() }.toml(|_| "lacuna-test-relay".to_owned()));
     for (name, args) in JSON.iter().filter(|(name, _)| !LONG.contains(name)) {
         if *name == "recover" {

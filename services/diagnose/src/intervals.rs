@@ -14,6 +14,10 @@ use lacuna_estimation::stats;
 
 /// Least half width, as a share of the value: no law is known better than that.
 const LEAST_SHARE: f64 = 1e-3;
+/// The same for what is found by simulating a soft joint: stiffness, damping ratio, gap.
+const LEAST_STIFFNESS: f64 = 0.03;
+const LEAST_DAMPING: f64 = 0.3;
+const LEAST_GAP: f64 = 0.02;
 /// Step beside a shape, as a share of it.
 const STEP: f64 = 0.03;
 
@@ -40,7 +44,8 @@ pub fn parameters(m: &Material<'_>, ctx: &Context<'_>, i: usize, several: bool) 
                 (None, None) => 0.0,
             };
             let half = half * m.calibration.factor(family.id(), &symbol, kind);
-            let half = if half.is_finite() { half.max(LEAST_SHARE * value.abs()) } else { value.abs() };
+            let half =
+                if half.is_finite() { half.max(least_share(m, family, &symbol) * value.abs()) } else { value.abs() };
             Parameter {
                 unit: family.effect.parameters.iter().find(|p| p.symbol == symbol).map_or("", |p| p.unit).to_owned(),
                 joint: (several || family.per_joint()).then(|| m.scene.robot.joints[atom.joint].clone()),
@@ -50,6 +55,20 @@ pub fn parameters(m: &Material<'_>, ctx: &Context<'_>, i: usize, several: bool) 
             }
         })
         .collect()
+}
+
+/// Least half width of a number as a share of it.
+///
+/// A soft joint is simulated, noise-free, with the link inertia of the robot file: its resonance is sharp, so that
+/// the evidence falls steeply beside the wrong place. Stiffness goes with the inertia, whose error the file's
+/// tolerance states; gap and damping are known to a few parts of what they do to the swing.
+fn least_share(m: &Material<'_>, family: &Family, symbol: &str) -> f64 {
+    match (family.id(), symbol) {
+        ("elasticity" | "backlash", "k") => (2.0 * m.scene.robot.tolerance.mass).max(LEAST_STIFFNESS),
+        ("elasticity" | "backlash", "zeta") => LEAST_DAMPING,
+        ("backlash", "b") => LEAST_GAP,
+        _ => LEAST_SHARE,
+    }
 }
 
 /// Which of the calibrated factors is meant.

@@ -38,6 +38,8 @@ fi
 # Tools of the long tests: the tunnel between machines (fifteen minutes of processor time, once) and cargo-deb.
 if [ ${#long[@]} -gt 0 ]; then
     export LACUNA_TEST_TOOLS=$target/tools
+    # Without link-time optimisation and at the first level they build in a third of the time and serve as well.
+    export CARGO_PROFILE_RELEASE_LTO=off CARGO_PROFILE_RELEASE_OPT_LEVEL=1 CARGO_PROFILE_RELEASE_CODEGEN_UNITS=16
     for tool in "iox2-link-tunnel-zenoh iceoryx2-integrations-zenoh-link-tunnel-cli@0.10.0" "cargo-deb cargo-deb"; do
         read -r executable crate <<< "$tool"
         [ -x "$LACUNA_TEST_TOOLS/bin/$executable" ] && continue
@@ -45,6 +47,7 @@ if [ ${#long[@]} -gt 0 ]; then
             echo "note: no $executable; the tests that need it will be skipped" >&2
     done
     rm -rf "$target/tools/build"
+    unset CARGO_PROFILE_RELEASE_LTO CARGO_PROFILE_RELEASE_OPT_LEVEL CARGO_PROFILE_RELEASE_CODEGEN_UNITS
 fi
 
 cargo build --release --workspace --bins || exit 1

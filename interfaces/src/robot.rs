@@ -194,6 +194,9 @@ pub struct Columns {
     /// Joint torque sensor [Nm].
     #[serde(default)]
     pub link_torque: Vec<String>,
+    /// Commanded positions [rad], one column per joint: what the controller was told to follow.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub reference: Vec<String>,
 }
 
 /// Motion limits, for excitation design.
@@ -323,6 +326,7 @@ impl RobotFile {
             ("columns.temperature", &self.columns.temperature, n),
             ("columns.link_position", &self.columns.link_position, n),
             ("columns.link_torque", &self.columns.link_torque, n),
+            ("columns.reference", &self.columns.reference, n),
         ] {
             if list.len() > most {
                 return Err(BadInput::new(format!(

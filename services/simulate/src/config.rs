@@ -83,13 +83,15 @@ pub struct LogConfig {
     pub rate_hz: Option<f64>,
     /// Temperature columns temp1, temp2, ….
     pub temperature: bool,
+    /// Columns of the commanded positions, qref1, qref2, ….
+    pub reference: bool,
     /// Pause between trajectories, drawn from 0 to twice this [s].
     pub pause_s: f64,
 }
 
 impl Default for LogConfig {
     fn default() -> Self {
-        Self { rate_hz: None, temperature: false, pause_s: 8.0 }
+        Self { rate_hz: None, temperature: false, reference: false, pause_s: 8.0 }
     }
 }
 

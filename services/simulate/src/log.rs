@@ -25,6 +25,8 @@ pub struct Logged {
     pub qd_rad_s: Vec<Vec<f64>>,
     /// Noise-free motor accelerations [rad/s²], mean over the log's window.
     pub qdd_rad_s2: Vec<Vec<f64>>,
+    /// Commanded positions [rad].
+    pub reference_rad: Vec<Vec<f64>>,
     /// Largest tracking error [rad].
     pub tracking_error_rad: f64,
 }
@@ -40,6 +42,8 @@ pub(crate) struct Tick {
     pub position: Joints,
     /// Motor speed [rad/s].
     pub speed: Joints,
+    /// Commanded position [rad].
+    pub reference: Joints,
 }
 
 /// What the log does to the signals.
@@ -82,6 +86,7 @@ impl<'a> Log<'a> {
             hidden_nm: columns(),
             qd_rad_s: columns(),
             qdd_rad_s2: columns(),
+            reference_rad: columns(),
             tracking_error_rad: 0.0,
         };
         Self { settings, nominal, random, window: VecDeque::new(), first: 0, logged }
@@ -169,6 +174,7 @@ impl<'a> Log<'a> {
         for i in 0..n {
             let rotor = self.nominal.joints[i].rotor * acceleration[i];
             logged.q_rad[i].push(now.reading[i]);
+            logged.reference_rad[i].push(now.reference[i]);
             logged.qd_rad_s[i].push(now.speed[i]);
             logged.qdd_rad_s2[i].push(acceleration[i]);
             logged.hidden_nm[i].push(torque[i] - known[i] - rotor);

@@ -85,6 +85,14 @@ pub(crate) fn recording_of(
     }
 }
 
+/// The commanded positions by column name.
+pub(crate) fn reference_columns(logged: &Logged) -> impl Iterator<Item = (String, Vec<f64>)> + '_ {
+    let of = |(i, q): (usize, &Vec<f64>)| {
+        (format!("qref{}", i + 1), q.iter().map(|&v| rounded(v, POSITION_DECIMALS)).collect())
+    };
+    logged.reference_rad.iter().enumerate().map(of)
+}
+
 /// Writes a recording as CSV: `t,q1…,tau1…` and the further columns by name. Numbers are written with the
 /// fewest digits that read back as the same value.
 ///

@@ -138,7 +138,7 @@ fn close_loop(
         for k in 0..substeps {
             plant.step(t + f64::from(k) * dt, &drive).map_err(left)?;
         }
-        log.push(Tick { command, reading, position, speed })?;
+        log.push(Tick { command, reading, position, speed, reference: target.q })?;
         ticks += 1;
     }
     Ok(log.finish(worst))

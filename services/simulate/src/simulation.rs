@@ -5,7 +5,7 @@ use crate::effects::{self, Scales};
 
 use crate::log::Logged;
 use crate::oracle::Oracle;
-use crate::output::{Manifest, ManifestFile, recording_of};
+use crate::output::{Manifest, ManifestFile, recording_of, reference_columns};
 use crate::plant::friction::JointFriction;
 use crate::plant::robot::TipEvent;
 use crate::plant::{Mechanism, TrueRobot};
@@ -158,7 +158,11 @@ impl<'a> Study<'a> {
         let entry = |(k, (plan, logged)): (usize, (&Plan, &Logged))| {
             let mut random = Random::new(self.config.seed, stream::TEMPERATURE + k as u64);
             let warm_up = self.config.log.temperature.then_some(warm_up.as_slice());
-            recording_of(self.robot, logged, k, warm_up, plan.start_s, &mut random)
+            let mut recording = recording_of(self.robot, logged, k, warm_up, plan.start_s, &mut random);
+            if self.config.log.reference {
+                recording.extra.extend(reference_columns(logged));
+            }
+            recording
         };
         plans.iter().zip(logged).enumerate().map(entry).collect()
     }

@@ -33,6 +33,11 @@ impl Tsqr {
         self.r.view((0, 0), (p, p)).into_owned()
     }
 
+    /// The factor R of \[X y\], (p + 1) × (p + 1).
+    pub fn factor(&self) -> &DMatrix<f64> {
+        &self.r
+    }
+
     /// Adds a matrix and its measurements, with a weight per row if given.
     pub(super) fn add_columns(
         &mut self,

@@ -5,15 +5,16 @@ use crate::base::structure;
 use crate::columns::{Signal, columns};
 use crate::condition::{Plan, Prepared, prepare};
 use crate::delay::Delay;
+use crate::fit::commanded;
 use crate::fit::draft::Data;
-use crate::fit::robust::{Kept, Store};
+use crate::fit::robust::gather;
 use crate::forward;
 use crate::hold_out::{Context, Split, hold_out};
 use crate::options::{Files, Method, Options};
 use crate::outcome::Outcome;
 use crate::split::Span;
-use crate::stream::{PartRows, Stream};
-use crate::sums::{Cells, Sums};
+use crate::stream::Stream;
+use crate::sums::Cells;
 use lacuna_interfaces::{BadInput, Recording, RobotFile};
 use lacuna_physics::RigidBody;
 use rayon::prelude::*;
@@ -79,16 +80,13 @@ pub fn identify_recordings(
         .collect::<Vec<_>>()
         .into_iter()
         .collect::<Result<_, _>>()?;
+    recordings.iter_mut().for_each(|r| commanded::unwrap(r, robot));
     let stream = Stream::new(body, robot, &structure, &plan, &recordings, &prepared);
     let split = Split::of(&stream, options, ranges)?;
     let cells = Cells::new(&stream, &split.spans(), block_s(options, &plan, &recordings));
     check_rows(&cells, &split)?;
     progress(0.3, "filtering");
-    let mut store = Store::default();
-    let room = Store::room(&stream);
-    let known = cells.clone();
-    let keep = |i: usize, rows: &PartRows| (options.robust && i < room).then(|| Kept::of(&stream.layout, &known, rows));
-    let sums = Sums::new(&stream, cells, keep, |kept| store.push(kept))?;
+    let (sums, store) = gather(&stream, cells, &split.train, options)?;
     progress(0.6, "fitting and holding out");
     let names: Vec<String> = recordings.iter().map(|r| r.name.clone()).collect();
     let data = Data { stream: &stream, sums: &sums };

@@ -53,7 +53,7 @@ mod warnings;
 
 pub use columns::Signal;
 pub use delay::Delay;
-pub use fit::Instruments;
+pub use fit::{InstrumentCheck, InstrumentMotion, Instruments};
 pub use identify::{identify, identify_recordings};
 pub use options::{Method, Options};
 pub use outcome::{Identification, Outcome, ReportData, write};

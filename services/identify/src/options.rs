@@ -63,6 +63,8 @@ pub struct Options {
     /// Length of a block of time behind the intervals [s]. Default: a hundredth of the data, from eight periods of the
     /// band to 2 s.
     pub block_s: Option<f64>,
+    /// Memory for rows that are looked at again [bytes], about twice of which is taken; what does not fit is computed anew.
+    pub row_memory: usize,
 }
 
 impl Default for Options {
@@ -81,6 +83,7 @@ impl Default for Options {
             instruments: Instruments::Auto,
             conditioning: Conditioning::default(),
             block_s: None,
+            row_memory: 64 << 20,
         }
     }
 }

@@ -106,6 +106,8 @@ pub struct Conditions {
     pub data: f64,
     /// Of the columns that were fitted.
     pub fitted: f64,
+    /// Whether the fit is by QR, because normal equations could not carry the columns.
+    pub by_qr: bool,
 }
 
 /// What enforcing physical consistency cost.

@@ -7,9 +7,10 @@
 use crate::base::Structure;
 use crate::columns::{Evaluator, Sample, unreachable};
 use crate::condition::{Plan, Prepared, Stretch};
+use crate::fit::{Motion, commanded};
 use crate::layout::{Layout, REACH, TORQUES};
 use lacuna_interfaces::{BadInput, Recording, RobotFile};
-use lacuna_physics::{Motion, RigidBody};
+use lacuna_physics::RigidBody;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -138,11 +139,24 @@ impl<'a> Stream<'a> {
     pub(crate) fn pass<T: Send>(
         &self,
         make: impl Fn(usize, &Part) -> Result<T, BadInput> + Sync,
+        take: impl FnMut(T) -> Result<(), BadInput>,
+    ) -> Result<(), BadInput> {
+        self.pass_over(0..self.parts.len(), make, take)
+    }
+
+    /// The same over some parts, by their numbers.
+    ///
+    /// # Errors
+    /// The first error of either, in order.
+    pub(crate) fn pass_over<T: Send>(
+        &self,
+        parts: Range<usize>,
+        make: impl Fn(usize, &Part) -> Result<T, BadInput> + Sync,
         mut take: impl FnMut(T) -> Result<(), BadInput>,
     ) -> Result<(), BadInput> {
         let at_once = AHEAD * rayon::current_num_threads().max(1);
-        for start in (0..self.parts.len()).step_by(at_once) {
-            let group = start..(start + at_once).min(self.parts.len());
+        for start in parts.clone().step_by(at_once) {
+            let group = start..(start + at_once).min(parts.end).min(self.parts.len());
             let made: Vec<Result<T, BadInput>> = group.into_par_iter().map(|i| make(i, &self.parts[i])).collect();
             made.into_iter().try_for_each(|m| take(m?))?;
         }
@@ -155,6 +169,34 @@ impl<'a> Stream<'a> {
     /// # Errors
     /// [`BadInput`] naming the recording, for a value that is not finite.
     pub(crate) fn around(&self, part: &Part, plan: &Plan, band_hz: f64) -> Result<(Stretch, Vec<usize>), BadInput> {
+        let measured: Vec<&[f64]> = self.recordings[part.recording].q_rad.iter().map(Vec::as_slice).collect();
+        self.around_at(part, &measured, plan, band_hz)
+    }
+
+    /// The same at the commanded positions, which the recording must have.
+    ///
+    /// # Errors
+    /// As [`Stream::around`].
+    pub(crate) fn commanded_around(
+        &self,
+        part: &Part,
+        plan: &Plan,
+        band_hz: f64,
+    ) -> Result<(Stretch, Vec<usize>), BadInput> {
+        let recording = &self.recordings[part.recording];
+        let commanded = commanded::columns(recording, self.robot).ok_or_else(|| {
+            BadInput::new("found no commanded positions; expected those of columns.reference").in_file(&recording.name)
+        })?;
+        self.around_at(part, &commanded, plan, band_hz)
+    }
+
+    fn around_at(
+        &self,
+        part: &Part,
+        positions: &[&[f64]],
+        plan: &Plan,
+        band_hz: f64,
+    ) -> Result<(Stretch, Vec<usize>), BadInput> {
         let own = &self.prepared[part.recording];
         let of = &own.stretches[part.stretch];
         let seconds = (OVERLAP / band_hz).max(plan.reversal_s);
@@ -164,27 +206,25 @@ impl<'a> Stream<'a> {
         let from = first.saturating_sub(overlap);
         // The very end is not cut: there the filter's padding is what the whole stretch would have.
         let to = if last + overlap + of.cut >= of.working { of.working } else { last + overlap + 1 };
-        let stretch = own.part(&self.recordings[part.recording], self.robot, plan, part.stretch, from..to)?;
+        let stretch =
+            own.part_at(&self.recordings[part.recording], positions, self.robot, plan, part.stretch, from..to)?;
         Ok((stretch, part.rows.clone().map(|r| own.working_of(of, r) - from).collect()))
     }
 
-    /// The rows of a part. With `instruments`, ζ comes from the motion that passed a low-pass of that many hertz.
+    /// The rows of a part. With `instruments`, ζ comes from that motion.
     ///
     /// # Errors
     /// [`BadInput`] naming the recording and the time of a pose that the robot cannot take.
-    pub(crate) fn rows_of(&self, part: &Part, instruments: Option<f64>) -> Result<PartRows, BadInput> {
+    pub(crate) fn rows_of(&self, part: &Part, instruments: Option<&Motion>) -> Result<PartRows, BadInput> {
         let own = &self.prepared[part.recording];
-        let band = instruments.map_or(self.plan.band_hz, |i| i.min(self.plan.band_hz));
+        let band = match instruments {
+            Some(Motion::Smoothed { band_hz }) => band_hz.min(self.plan.band_hz),
+            _ => self.plan.band_hz,
+        };
         let (stretch, at) = self.around(part, self.plan, band)?;
         let columns = self.columns(&stretch, &own.name)?;
         let shadow = match instruments {
-            Some(position_band_hz) => {
-                let mut narrow =
-                    self.around(part, &Plan { position_band_hz, bristle: false, ..self.plan.clone() }, band)?.0;
-                // Where the friction changes sign is no matter of acceleration noise.
-                narrow.sign.clone_from(&stretch.sign);
-                Some(self.columns(&narrow, &own.name)?)
-            }
+            Some(motion) => Some(self.columns(&motion.of(self, part, &stretch)?, &own.name)?),
             None => None,
         };
         let joints = (0..self.layout.len())
@@ -208,7 +248,8 @@ impl<'a> Stream<'a> {
                 qdd[j] = stretch.qdd_rad_s2[j][k];
                 sign[j] = stretch.sign[j][k];
             }
-            let sample = Sample { motion: Motion { q_rad: &q, qd_rad_s: &qd, qdd_rad_s2: &qdd }, sign: &sign };
+            let sample =
+                Sample { motion: lacuna_physics::Motion { q_rad: &q, qd_rad_s: &qd, qdd_rad_s2: &qdd }, sign: &sign };
             evaluator.at(&sample).map_err(|e| unreachable(stretch.time_s(k), e).in_file(name))?;
             for (j, layout) in self.layout.iter().enumerate() {
                 for (slot, &b) in layout.active.iter().enumerate() {

@@ -181,47 +181,53 @@ struct Share {
 }
 
 impl Sums {
-    /// Adds up all rows of `stream`; `keep` is given the rows of every part, in order.
-    ///
-    /// # Errors
-    /// As [`Stream::rows_of`].
-    pub(crate) fn new<K: Send>(
-        stream: &Stream<'_>,
-        cells: Cells,
-        keep: impl Fn(usize, &PartRows) -> K + Sync,
-        mut kept: impl FnMut(K),
-    ) -> Result<Self, BadInput> {
+    /// Nothing added yet.
+    pub(crate) fn new(stream: &Stream<'_>, cells: Cells) -> Self {
         let empty = |count: usize| -> Vec<Vec<Moments>> {
             vec![stream.layout.iter().map(|l| Moments::new(l.len())).collect(); count]
         };
-        let mut out = Self {
+        Self {
             fitted: empty(cells.list.len()),
             counted: empty(2 * cells.pieces),
             standing: empty(cells.pieces),
             survey: vec![Survey::default(); stream.layout.len()],
             shown: Vec::new(),
-            cells: Cells::default(),
-        };
+            cells,
+        }
+    }
+
+    /// Adds up the rows of some parts of `stream`; `keep` is given the rows of every part, `kept` what it makes of them, in
+    /// order.
+    ///
+    /// # Errors
+    /// As [`Stream::rows_of`].
+    pub(crate) fn add<K: Send>(
+        &mut self,
+        stream: &Stream<'_>,
+        parts: Range<usize>,
+        keep: impl Fn(&Cells, &PartRows) -> K + Sync,
+        mut kept: impl FnMut(K),
+    ) -> Result<(), BadInput> {
+        let Self { cells, fitted, counted, standing, survey, shown } = self;
+        let cells: &Cells = cells;
         let step = stream.rows().div_ceil(MOST_SHOWN).max(1);
-        let make = |i: usize, part: &Part| {
+        let make = |_: usize, part: &Part| {
             let rows = stream.rows_of(part, None)?;
-            Ok((share(stream, &cells, &rows, step)?, keep(i, &rows)))
+            Ok((share(stream, cells, &rows, step)?, keep(cells, &rows)))
         };
-        stream.pass(make, |(share, k)| {
+        stream.pass_over(parts, make, |(share, k)| {
             for ((place, j), sum) in &share.sums {
                 match place {
-                    Place::Fitted(c) => out.fitted[*c][*j].merge(sum),
-                    Place::Counted(p) => out.counted[*p][*j].merge(sum),
-                    Place::Standing(p) => out.standing[*p][*j].merge(sum),
+                    Place::Fitted(c) => fitted[*c][*j].merge(sum),
+                    Place::Counted(p) => counted[*p][*j].merge(sum),
+                    Place::Standing(p) => standing[*p][*j].merge(sum),
                 }
             }
-            out.survey.iter_mut().zip(share.survey).for_each(|(to, from)| to.add(from));
-            out.shown.extend(share.shown);
+            survey.iter_mut().zip(share.survey).for_each(|(to, from)| to.add(from));
+            shown.extend(share.shown);
             kept(k);
             Ok(())
-        })?;
-        out.cells = cells;
-        Ok(out)
+        })
     }
 
     /// Rows counted in a sum.

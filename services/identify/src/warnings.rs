@@ -6,9 +6,9 @@ use crate::condition::{Plan, Prepared};
 use crate::delay::DelayEstimate;
 use crate::evaluate::Score;
 use crate::fit::{InstrumentCheck, Solution, Why};
+use crate::forward::Forward;
 use crate::outcome::Consistency;
 use crate::sums::Survey;
-use lacuna_estimation::least_squares::GRAM_CONDITION_LIMIT;
 use lacuna_interfaces::RobotFile;
 
 /// Everything that warnings look at.
@@ -25,6 +25,9 @@ pub(crate) struct Findings<'a> {
     pub(crate) plan: &'a Plan,
     pub(crate) held_out: &'a Score,
     pub(crate) with_standstill: Option<f64>,
+    /// Error of every recording held out in turn; empty for another split.
+    pub(crate) by_recording: &'a [f64],
+    pub(crate) forward: Option<&'a Forward>,
     pub(crate) delay: Option<DelayEstimate>,
     pub(crate) instruments: Option<&'a InstrumentCheck>,
     pub(crate) consistency: Option<Consistency>,
@@ -47,6 +50,8 @@ pub(crate) fn all(f: &Findings<'_>) -> Vec<String> {
     timing(f, &mut out);
     encoder(f, &mut out);
     quality(f, &mut out);
+    disagreement(f, &mut out);
+    simulated(f, &mut out);
     out
 }
 
@@ -151,14 +156,6 @@ fn rank(f: &Findings<'_>, out: &mut Vec<String>) {
                 s.columns[s.base[u.base].column].unit
             ));
         }
-    }
-    if f.solution.digits_lost {
-        out.push(format!(
-            "the normal equations lose digits at a condition number of {:.1e} (expected below {:.0e}): columns that the data \
-             barely tell apart were left out",
-            f.solution.condition_all,
-            GRAM_CONDITION_LIMIT
-        ));
     }
     if f.solution.condition > 1e3 {
         out.push(format!(
@@ -268,9 +265,13 @@ fn common_factor(s: &Structure, solution: &Solution) -> Option<f64> {
     (alike > 0.9).then_some(cross / nominal)
 }
 
+/// Error with standing joints beyond that of moving ones from which on it is worth a word.
+const TRAP: f64 = 0.01;
+
 fn standstill(f: &Findings<'_>, out: &mut Vec<String>) {
     if let Some(with) = f.with_standstill
         && with > 1.3 * f.held_out.relative_error
+        && with > f.held_out.relative_error + TRAP
     {
         out.push(format!(
             "standstill trap: with standing joints fitted and counted the held-out error is {:.1} %, moving {:.1} %; a standing \
@@ -341,5 +342,49 @@ fn quality(f: &Findings<'_>, out: &mut Vec<String>) {
                 100.0 * share
             ));
         }
+    }
+}
+
+/// The worst recording held out is missed this many times as badly as the median one, and by this much, before it is said.
+const SPREAD: f64 = 2.5;
+const MISSED: f64 = 0.1;
+
+/// Recordings that do not predict each other: another robot, payload or unit, or a motion that tells nothing.
+fn disagreement(f: &Findings<'_>, out: &mut Vec<String>) {
+    if f.by_recording.len() < 3 || f.by_recording.len() != f.recordings.len() {
+        return;
+    }
+    let mut sorted: Vec<(f64, &str)> =
+        f.by_recording.iter().copied().zip(f.recordings.iter().map(|r| r.name.as_str())).collect();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (Some(least), Some(most)) = (sorted.first(), sorted.last()) else { return };
+    let median = sorted[sorted.len() / 2].0;
+    if most.0 > SPREAD * median && most.0 > MISSED {
+        out.push(format!(
+            "the recordings do not agree: predicted from the others they are missed by {:.0} % ({}) to {:.0} % ({}), the median \
+             one by {:.0} %: another robot, payload or unit in some, or a motion near a resonance?",
+            100.0 * least.0,
+            least.1,
+            100.0 * most.0,
+            most.1,
+            100.0 * median
+        ));
+    }
+}
+
+/// Joints whose simulated motion is further off than a velocity that stays as it is.
+fn simulated(f: &Findings<'_>, out: &mut Vec<String>) {
+    let Some(forward) = f.forward else { return };
+    let Some((own, held)) = forward.identified.rms_rad.last().zip(forward.held_velocity.rms_rad.last()) else { return };
+    let worse: Vec<String> = (own.iter().zip(held).enumerate())
+        .filter(|(_, (own, held))| *own > *held)
+        .map(|(j, (own, held))| format!("joint {} ({:.3} rad, without {:.3})", j + 1, own, held))
+        .collect();
+    if !worse.is_empty() {
+        out.push(format!(
+            "not fit to simulate: {:.0} ms ahead of the measured state the model is further off than no model at {}",
+            1e3 * forward.horizons_s.last().copied().unwrap_or(0.0),
+            worse.join(", ")
+        ));
     }
 }

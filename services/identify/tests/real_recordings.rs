@@ -134,7 +134,10 @@ fn kinova_joint_2_friction_from_motor_minus_sensor() {
     assert!(outcome.identification.held_out.score.relative_error_per_joint[1] <= 0.24);
     // One direction of motion cannot tell Coulomb friction from an offset, and says so.
     assert!(outcome.identification.warnings.iter().any(|w| w.contains("one direction only")));
-    // Held out by recording, which differ in what they excite: worse, and printed for that.
+    // Held out by recording: with everything that was recorded, as the published baseline has it, and without the ends,
+    // which in recordings of two seconds is much of what they have in common. They differ in what they excite.
     o.holdout = Some(Holdout::Recordings);
     assert!(run(&o).identification.held_out.score.relative_error_per_joint[1] <= 0.255);
+    o.conditioning.cut_s = Some(0.0);
+    assert!(run(&o).identification.held_out.score.relative_error_per_joint[1] <= 0.24);
 }

@@ -242,14 +242,40 @@ fn bad_recordings_are_named_with_the_number_that_shows_it() {
     );
     assert!(said(&outcome, "gear ratio is 50"));
 
+    // Without masses in the robot file the drive's rating tells.
+    let peak = good.iter().flat_map(|r| &r.tau_nm[0]).fold(0.0f64, |m, v| m.max(v.abs()));
+    let rated = RobotFile::parse(&format!("{ARM}rated_torque_nm = {peak}\n")).unwrap();
+    let mut milli = good.clone();
+    milli.iter_mut().flat_map(|r| &mut r.tau_nm).flatten().for_each(|v| *v *= 5e-3);
+    let outcome = run(&Options::default(), &rated, body.as_ref(), milli).unwrap();
+    assert!(said(&outcome, &format!("the drive is rated for {peak} Nm")), "{:?}", outcome.identification.warnings);
+    let outcome = run(&Options::default(), &rated, body.as_ref(), good.clone()).unwrap();
+    assert!(!said(&outcome, "rated"), "{:?}", outcome.identification.warnings);
+
     let mut clipped = good.clone();
     let limit = 0.6 * clipped[0].tau_nm[0].iter().fold(0.0f64, |m, v| m.max(v.abs()));
     clipped.iter_mut().for_each(|r| r.tau_nm[0].iter_mut().for_each(|v| *v = v.clamp(-limit, limit)));
     let outcome = run(&Options::default(), &robot, body.as_ref(), clipped).unwrap();
     assert!(said(&outcome, "the torque of joint 1 stays at its limit"), "{:?}", outcome.identification.warnings);
 
+    // One recording in another unit: they do not predict each other.
+    let mut loaded = motions(&robot, 9, 6).recordings;
+    assert!(!said(&run(&Options::default(), &robot, body.as_ref(), loaded.clone()).unwrap(), "do not agree"));
+    loaded[1].tau_nm.iter_mut().flatten().for_each(|v| *v *= 2.0);
+    let outcome = run(&Options::default(), &robot, body.as_ref(), loaded).unwrap();
+    let found = outcome.identification.warnings.iter().find(|w| w.starts_with("the recordings do not agree"));
+    let worst = outcome.identification.held_out.folds.iter().copied().fold(0.0, f64::max);
+    assert!(found.is_some_and(|w| w.contains(&format!(" to {:.0} % (traj_", 100.0 * worst))), "{found:?}");
+
     let one = vec![good[0].clone()];
     let outcome = run(&Options::default(), &robot, body.as_ref(), one).unwrap();
+    let short: Vec<&String> = outcome
+        .identification
+        .warnings
+        .iter()
+        .filter(|w| w.starts_with("little data") && w.contains(" s in motion"))
+        .collect();
+    assert_eq!(short.len(), 1, "{:?}", outcome.identification.warnings);
     assert!(said(&outcome, "too few recordings") && outcome.identification.held_out.split == "halves");
 
     let e = run(

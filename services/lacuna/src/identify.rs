@@ -52,6 +52,10 @@ pub struct IdentifyArgs {
     /// Low-pass on positions and torques before differentiation [Hz]. Default: twice the band.
     #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     position_band: Option<f64>,
+    /// Time left out at both ends of every recording, where filters start [s]. Default: two periods of the band, at most a
+    /// tenth of the recording.
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
+    cut: Option<f64>,
     /// Rate that irregular recordings are brought to [Hz]. Default: that of the median step.
     #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     rate: Option<f64>,
@@ -62,7 +66,8 @@ pub struct IdentifyArgs {
     /// Delay between torque and position: estimate, off, or seconds.
     #[arg(long, default_value = "estimate", allow_hyphen_values = true)]
     delay: String,
-    /// Instruments against encoder noise in the accelerations: auto, on or off.
+    /// Instruments against encoder noise in the accelerations: auto, on, off, or command (from the commanded motion, where
+    /// recordings have it).
     #[arg(long, default_value = "auto")]
     instruments: String,
     /// Samples this many robust standard deviations off their neighbours are spikes; 0 keeps all.
@@ -107,12 +112,14 @@ impl IdentifyArgs {
                 band_hz: self.band,
                 position_band_hz: self.position_band,
                 moving_rad_s: self.moving,
+                cut_s: self.cut,
                 rate_hz: self.rate,
                 spike_threshold: self.spikes,
                 bristle: !self.no_bristle,
                 ..Conditioning::default()
             },
             block_s: self.block.map(|s| words::positive("--block", s)).transpose()?,
+            ..Options::default()
         })
     }
 }
@@ -230,6 +237,9 @@ fn forward_words(id: &Identification) -> String {
 fn parameter_words(parameters: &[ParameterRow]) -> String {
     let departing = parameters.iter().filter(|p| p.departs == Some(true)).count();
     let departs = match departing {
+        0 if parameters.iter().all(|p| p.nominal.is_none_or(|v| v == 0.0)) => {
+            "the robot file has no masses to compare them with".to_owned()
+        }
         0 => "none departs from the robot file beyond interval and tolerance".to_owned(),
         1 => "one departs from the robot file beyond interval and tolerance (report.html shows it)".to_owned(),
         n => format!("{n} depart from the robot file beyond interval and tolerance (report.html shows them)"),

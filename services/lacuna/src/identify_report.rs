@@ -1,11 +1,11 @@
 //! From an identification to its report: names and figures are carried over, nothing is computed anew.
 
 use crate::{payload_report, words};
-use lacuna_identify::Outcome;
 use lacuna_identify::forward::Predicted;
 use lacuna_identify::outcome::{Identification, JointCurves, ReportData};
 use lacuna_identify::paper::{ErrorTable as Errors, PaperResult};
 use lacuna_identify::split::TimeRange;
+use lacuna_identify::{InstrumentCheck, InstrumentMotion, Outcome};
 use lacuna_interfaces::Repair;
 use lacuna_report::number::{compact, percent, significant};
 use lacuna_report::{
@@ -144,6 +144,9 @@ fn setup(id: &Identification) -> Setup {
     if !bristles.is_empty() {
         add("Coulomb friction builds up over", bristles.join(", "));
     }
+    if let Some(i) = &id.instruments {
+        add("Encoder noise in the accelerations", instruments(i));
+    }
     if let Some(c) = &id.consistency {
         let more = percent(c.training_residual_ratio - 1.0);
         add("Physically consistent", format!("every link can exist; this costs {more} of training residual"));
@@ -160,6 +163,22 @@ fn setup(id: &Identification) -> Setup {
         moving_rad_s: held.moving_only.then_some(held.moving_rad_s),
         samples: id.rows.iter().max().map(|n| *n as u64),
         further,
+    }
+}
+
+/// Which instruments were used, if any.
+fn instruments(check: &InstrumentCheck) -> String {
+    let motion = match check.motion {
+        InstrumentMotion::Smoothed => format!("the measured motion below {} Hz", compact(check.band_hz)),
+        InstrumentMotion::Resimulated => "the motion re-simulated from the command".to_owned(),
+    };
+    let apart = format!("{} differs by {} standard errors", check.symbol, significant(check.statistic.abs(), 2));
+    match check.used {
+        true => format!("parameters by instruments from {motion}; from least squares {apart}"),
+        false => format!(
+            "least squares; instruments from {motion} say the same ({apart}, by chance up to {})",
+            significant(check.threshold, 2)
+        ),
     }
 }
 
@@ -257,11 +276,15 @@ fn not_excited(id: &Identification) -> Vec<NotExcited> {
 
 fn conditions(id: &Identification) -> Vec<ConditionRow> {
     let c = &id.condition_numbers;
+    let fitted = match c.by_qr {
+        true => "these recordings, the columns that were fitted (by QR)",
+        false => "these recordings, the columns that were fitted",
+    };
     let row = |what: &str, value, limit| ConditionRow { what: what.to_owned(), value, limit };
     vec![
         row("the robot's base columns at random motions", c.structure, None),
         row("these recordings, all base columns", c.data, None),
-        row("these recordings, the columns that were fitted", c.fitted, Some(DOUBTFUL_CONDITION)),
+        row(fitted, c.fitted, Some(DOUBTFUL_CONDITION)),
     ]
 }
 

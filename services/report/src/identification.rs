@@ -203,8 +203,8 @@ fn figures(data: &IdentificationReportData, unit: &str) -> Vec<Figure> {
     if !data.parameters.is_empty() {
         let note = match data.not_excited.len() {
             0 => "all the model has".to_owned(),
-            1 => "1 is not excited by these data".to_owned(),
-            n => format!("{n} are not excited by these data"),
+            1 => "1 is not supported by these data".to_owned(),
+            n => format!("{n} are not supported by these data"),
         };
         let value = data.parameters.len().to_string();
         figures.push(Figure { label: "Parameters identified".to_owned(), value, note });
@@ -330,7 +330,8 @@ fn parameters(data: &IdentificationReportData) -> Vec<Block> {
         blocks.push(Block::Table(if merged { table.with_note(note) } else { table }));
     }
     if !data.not_excited.is_empty() {
-        let mut table = Table::new("Not excited by these recordings, therefore not identified", &["Symbol", "Reason"]);
+        let mut table =
+            Table::new("Not supported by these recordings, therefore not identified", &["Symbol", "Reason"]);
         for row in &data.not_excited {
             table.push(vec![Cell::Math(row.symbol.clone()), Cell::text(&row.reason)]);
         }

@@ -143,9 +143,26 @@ impl Prepared {
         stretch: usize,
         part: Range<usize>,
     ) -> Result<Stretch, BadInput> {
+        let measured: Vec<&[f64]> = recording.q_rad.iter().map(Vec::as_slice).collect();
+        self.part_at(recording, &measured, robot, plan, stretch, part)
+    }
+
+    /// The same with other positions than the measured ones: `[joint][sample]`, as long as the recording.
+    ///
+    /// # Errors
+    /// As [`Prepared::part`].
+    pub(crate) fn part_at(
+        &self,
+        recording: &Recording,
+        positions: &[&[f64]],
+        robot: &RobotFile,
+        plan: &Plan,
+        stretch: usize,
+        part: Range<usize>,
+    ) -> Result<Stretch, BadInput> {
         let own = &self.stretches[stretch];
         let samples = part.start * self.factor..(part.end * self.factor).min(own.regular);
-        signals::regular(recording, &own.range, samples, &self.sampling, plan.torque_delay_s)
+        signals::regular(recording, positions, &own.range, samples, &self.sampling, plan.torque_delay_s)
             .and_then(|regular| motion::stretch(regular, robot, plan, &self.sampling, &self.saturation, own.cut))
             .map_err(|e| e.in_file(&self.name))
     }

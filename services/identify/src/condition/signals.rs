@@ -150,6 +150,7 @@ impl Sampling {
 /// Brings the regular samples `part` of the gap-free `range` about, and undoes the torque's delay.
 pub(super) fn regular(
     recording: &Recording,
+    positions: &[&[f64]],
     range: &Range<usize>,
     part: Range<usize>,
     sampling: &Sampling,
@@ -164,16 +165,17 @@ pub(super) fn regular(
     let near = range.start + low..range.start + high;
     let own = range.start + part.start..range.start + part.end;
     let t = &recording.t_s[near.clone()];
-    let cut = |columns: &[Vec<f64>]| -> Vec<Vec<f64>> { columns.iter().map(|c| c[own.clone()].to_vec()).collect() };
-    let on = |columns: &[Vec<f64>], grid: &[f64]| -> Result<Vec<Vec<f64>>, BadInput> {
+    let torques: Vec<&[f64]> = recording.tau_nm.iter().map(Vec::as_slice).collect();
+    let cut = |columns: &[&[f64]]| -> Vec<Vec<f64>> { columns.iter().map(|c| c[own.clone()].to_vec()).collect() };
+    let on = |columns: &[&[f64]], grid: &[f64]| -> Result<Vec<Vec<f64>>, BadInput> {
         columns.iter().map(|c| Ok(resample(t, &c[near.clone()], grid, Interpolation::Cubic)?)).collect()
     };
-    let q = if sampling.irregular { on(&recording.q_rad, &grid)? } else { cut(&recording.q_rad) };
+    let q = if sampling.irregular { on(positions, &grid)? } else { cut(positions) };
     let tau = if sampling.irregular || delay_s != 0.0 {
         let late: Vec<f64> = grid.iter().map(|t| t + delay_s).collect();
-        on(&recording.tau_nm, &late)?
+        on(&torques, &late)?
     } else {
-        cut(&recording.tau_nm)
+        cut(&torques)
     };
     let mut extra = BTreeMap::new();
     for (name, column) in recording.extra.iter().filter(|(_, c)| c.len() == recording.len()) {

@@ -2,6 +2,7 @@
 
 use super::normal::{Choice, Normal};
 use super::support;
+use super::triangles::{self, Factors, Triangles};
 use crate::bristle;
 use crate::delay::{self, Delay, DelayEstimate};
 use crate::layout::{Chosen, Layout, torque_at};
@@ -45,6 +46,8 @@ pub(crate) struct Draft {
     pub(crate) lost: BTreeMap<(usize, usize), Moments>,
     /// Σ (1 − h) per joint.
     pub(crate) lost_weight: Vec<f64>,
+    /// Factors of the rows by QR, where normal equations lose digits.
+    pub(crate) triangles: Option<Triangles>,
 }
 
 impl Draft {
@@ -72,6 +75,7 @@ impl Draft {
             count: Vec::new(),
             lost: BTreeMap::new(),
             lost_weight: vec![0.0; n],
+            triangles: None,
         };
         let totals = draft.totals(data);
         draft.measure(data, &totals)?;
@@ -157,6 +161,24 @@ impl Draft {
         Ok(())
     }
 
+    /// Fits by QR, with every column that it tells apart.
+    pub(crate) fn refit_by_qr(&mut self, data: Data<'_>) -> Result<(), BadInput> {
+        let normal = self.factored(data)?;
+        (self.choice, self.condition_all) = support::told_apart(data, self, &normal)?;
+        self.beta = normal.solve(&self.choice)?;
+        self.rescale(data);
+        Ok(())
+    }
+
+    /// Weighted normal equations, and beside them the factors by QR where there are any.
+    pub(crate) fn factored(&self, data: Data<'_>) -> Result<Normal, BadInput> {
+        let factors = match &self.triangles {
+            Some(own) => Some(Factors::of(own, &data.stream.layout, &self.sigma, self.beta.len())?),
+            None => None,
+        };
+        Ok(Normal { factors, ..self.normal(data) })
+    }
+
     /// σ of every joint from the weighted residuals of β.
     pub(crate) fn rescale(&mut self, data: Data<'_>) {
         for j in 0..self.sigma.len() {
@@ -171,6 +193,9 @@ impl Draft {
     /// Σ h e² of a joint.
     fn residual_sum(&self, data: Data<'_>, j: usize, beta: &DVector<f64>) -> f64 {
         let layout = &data.stream.layout[j];
+        if let Some(own) = &self.triangles {
+            return triangles::residual_sum(own, layout, j, beta);
+        }
         let lost: Vec<(usize, f64)> = self.lost_residual(layout, beta);
         self.own_cells()
             .map(|c| {

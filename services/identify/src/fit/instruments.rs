@@ -4,23 +4,33 @@
 //! the noise's share of the column's power. Instruments ζ are columns that move with the truth but not with that noise:
 //!
 //! ```text
-//! ζᵀW(y − X β) = 0       ζ: X at the motion below a fifth of the band;  white noise in q has power ∝ f⁵ in q̈: a 3000th is left
+//! ζᵀW(y − X β) = 0
 //! ```
 //!
-//! A recording carries neither the commanded motion nor the controller, so the motion that stands in for the noise-free one
-//! is the measured one, smoothed. What does not depend on acceleration or velocity (Coulomb friction, offset) is its own
+//! The motion that stands in for the noise-free one is the measured one, smoothed, or where it is asked for and recordings
+//! have the commanded positions, the one that follows from them ([`super::commanded`]), which no encoder has touched. On
+//! simulated arms neither is less biased than the other, and the smoothed one is more precise. It needs no command:
+//!
+//! ```text
+//! ζ: X at the motion below a fifth of the band;  white noise in q has power ∝ f⁵ in q̈: a 3000th is left
+//! ```
+//!
+//! (A closed loop simulated under the identified model along that smoothed motion, with a controller that knows the model,
+//! follows it exactly: it would be the same instrument.) What does not depend on acceleration or velocity (Coulomb friction, offset) is its own
 //! instrument. Whether it matters is what Hausman (1978) asks: is the difference of the two estimates larger than its own
 //! delete-one-block error allows?
 
+use super::commanded::Loops;
 use super::draft::{Data, Draft};
 use super::normal::covariance;
 use super::robust::beyond;
 use super::{Solution, student_975};
 use crate::columns::Term;
+use crate::condition::{Plan, Stretch};
 use crate::layout::Layout;
-use crate::stream::{Class, Part, PartRows};
+use crate::stream::{Class, Part, PartRows, Stream};
 use lacuna_estimation::filter::noise_sd;
-use lacuna_estimation::least_squares::CrossMoments;
+use lacuna_estimation::least_squares::{CrossMoments, GRAM_CONDITION_LIMIT};
 use lacuna_estimation::stats::{normal_quantile, rms};
 use lacuna_interfaces::BadInput;
 use nalgebra::{DMatrix, DVector};
@@ -37,6 +47,8 @@ pub enum Instruments {
     Auto,
     /// Always.
     On,
+    /// Always, from the motion that follows from the command (`columns.reference` of the robot file).
+    Command,
     /// Least squares.
     Off,
 }
@@ -48,10 +60,21 @@ impl std::str::FromStr for Instruments {
         match text {
             "auto" => Ok(Self::Auto),
             "on" => Ok(Self::On),
+            "command" => Ok(Self::Command),
             "off" => Ok(Self::Off),
-            _ => Err(BadInput::new(format!("instruments: found \"{text}\"; expected auto, on or off"))),
+            _ => Err(BadInput::new(format!("instruments: found \"{text}\"; expected auto, on, command or off"))),
         }
     }
+}
+
+/// Which motion instruments come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum InstrumentMotion {
+    /// The measured one, smoothed.
+    Smoothed,
+    /// The one that follows from the command.
+    Resimulated,
 }
 
 /// Least squares against instruments.
@@ -59,8 +82,13 @@ impl std::str::FromStr for Instruments {
 pub struct InstrumentCheck {
     /// Whether the model has the instruments' estimates.
     pub used: bool,
-    /// Low-pass of the instruments' motion [Hz].
+    /// Which motion the instruments come from.
+    pub motion: InstrumentMotion,
+    /// Low-pass of that motion [Hz].
     pub band_hz: f64,
+    /// Least share of a joint's velocity that the command explains, by power; absent where the motion is the measured one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub explained: Option<f64>,
     /// Parameter whose two estimates differ most, in standard errors of the difference.
     pub symbol: String,
     /// Its least-squares estimate.
@@ -118,9 +146,56 @@ pub(crate) fn noise_share(data: Data<'_>) -> Result<f64, BadInput> {
     Ok((0..stream.layout.len()).map(share).fold(0.0, f64::max))
 }
 
+/// The motion of the instruments.
+#[derive(Debug)]
+pub(crate) enum Motion {
+    /// The measured one below this frequency [Hz].
+    Smoothed { band_hz: f64 },
+    /// The one that follows from the command.
+    Resimulated(Loops),
+}
+
+impl Motion {
+    /// From the command where that was asked for, else smoothed.
+    ///
+    /// # Errors
+    /// [`BadInput`] where the command is asked for and recordings have none, or it explains too little of the motion.
+    pub(crate) fn choose(data: Data<'_>, instruments: Instruments) -> Result<Self, BadInput> {
+        match instruments {
+            Instruments::Command => Ok(Self::Resimulated(Loops::find(data)?)),
+            _ => Ok(Self::Smoothed { band_hz: BAND_SHARE * data.stream.plan.band_hz }),
+        }
+    }
+
+    /// That motion over a part, with directions as `measured`.
+    ///
+    /// # Errors
+    /// As [`crate::stream::Stream::around`].
+    pub(crate) fn of(&self, stream: &Stream<'_>, part: &Part, measured: &Stretch) -> Result<Stretch, BadInput> {
+        let plan = Plan { bristle: false, ..stream.plan.clone() };
+        match self {
+            Self::Resimulated(loops) => loops.motion(stream, part, &plan, measured),
+            Self::Smoothed { band_hz } => {
+                let plan = Plan { position_band_hz: *band_hz, ..plan };
+                let mut narrow = stream.around(part, &plan, band_hz.min(plan.band_hz))?.0;
+                // Where the friction changes sign is no matter of acceleration noise.
+                narrow.sign.clone_from(&measured.sign);
+                Ok(narrow)
+            }
+        }
+    }
+
+    fn kind(&self, plan: &Plan) -> (InstrumentMotion, f64, Option<f64>) {
+        match self {
+            Self::Smoothed { band_hz } => (InstrumentMotion::Smoothed, *band_hz, None),
+            Self::Resimulated(l) => (InstrumentMotion::Resimulated, plan.position_band_hz, Some(l.explained)),
+        }
+    }
+}
+
 /// Cross products of instruments and rows: `[cell][joint]`, and per draft what bounded influence takes off.
 pub(crate) struct InstrumentSums {
-    band_hz: f64,
+    kind: (InstrumentMotion, f64, Option<f64>),
     cells: Vec<Vec<CrossMoments>>,
     lost: BTreeMap<(usize, usize, usize), CrossMoments>,
 }
@@ -133,13 +208,13 @@ impl InstrumentSums {
     ///
     /// # Errors
     /// As [`crate::stream::Stream::rows_of`].
-    pub(crate) fn new(data: Data<'_>, drafts: &[Draft]) -> Result<Self, BadInput> {
+    pub(crate) fn new(data: Data<'_>, drafts: &[Draft], motion: &Motion) -> Result<Self, BadInput> {
         let layout = &data.stream.layout;
-        let band_hz = BAND_SHARE * data.stream.plan.band_hz;
         let empty = || layout.iter().map(|l| CrossMoments::new(l.width(), l.len())).collect::<Vec<_>>();
-        let mut out = Self { band_hz, cells: vec![empty(); data.sums.cells.list.len()], lost: BTreeMap::new() };
+        let kind = motion.kind(data.stream.plan);
+        let mut out = Self { kind, cells: vec![empty(); data.sums.cells.list.len()], lost: BTreeMap::new() };
         let make = |_: usize, part: &Part| {
-            let rows = data.stream.rows_of(part, Some(band_hz))?;
+            let rows = data.stream.rows_of(part, Some(motion))?;
             share(data, &rows, drafts)
         };
         data.stream.pass(make, |(sums, lost)| {
@@ -200,6 +275,10 @@ impl InstrumentSums {
         draft: &Draft,
         solution: &Solution,
     ) -> Option<(Solution, InstrumentCheck)> {
+        // Square equations of instruments lose digits as normal equations do.
+        if solution.condition > GRAM_CONDITION_LIMIT {
+            return None;
+        }
         let p = solution.beta.len();
         let mut blocks: BTreeMap<usize, (DMatrix<f64>, DMatrix<f64>)> = BTreeMap::new();
         for cell in draft.own_cells() {
@@ -237,7 +316,9 @@ impl InstrumentSums {
         let widened = student_975(count - 1) / normal_quantile(0.975);
         let check = InstrumentCheck {
             used: false,
-            band_hz: self.band_hz,
+            motion: self.kind.0,
+            band_hz: self.kind.1,
+            explained: self.kind.2,
             symbol: symbol(worst),
             least_squares: solution.beta[worst],
             instruments: beta[worst],

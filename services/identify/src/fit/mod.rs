@@ -13,11 +13,13 @@
 //! regression) needs no model of the residual's spectrum, holds across joints, and does not shrink with the number
 //! of parameters as plain cluster sums do.
 
+pub(crate) mod commanded;
 pub(crate) mod draft;
 pub(crate) mod instruments;
 pub(crate) mod normal;
 pub(crate) mod robust;
 mod support;
+mod triangles;
 
 use crate::base::Structure;
 use crate::options::Options;
@@ -25,7 +27,8 @@ use crate::rows::Rows;
 use crate::split::Span;
 use draft::{Data, Draft};
 use instruments::InstrumentSums;
-pub use instruments::{InstrumentCheck, Instruments};
+pub(crate) use instruments::Motion;
+pub use instruments::{InstrumentCheck, InstrumentMotion, Instruments};
 use lacuna_estimation::least_squares::Gram;
 use lacuna_estimation::stats::normal_quantile;
 use lacuna_interfaces::BadInput;
@@ -79,8 +82,8 @@ pub struct Solution {
     pub condition: f64,
     /// Condition number before unexcited columns were left out.
     pub condition_all: f64,
-    /// Whether the normal equations could not carry every column that the data tell apart: further ones were left out.
-    pub digits_lost: bool,
+    /// Whether the fit is by QR, because normal equations could not carry every column that the data tell apart.
+    pub by_qr: bool,
     /// XᵀWX and XᵀWy over all base columns, for constrained variants of the fit.
     pub(crate) normal: Gram,
 }
@@ -142,8 +145,9 @@ pub(crate) fn fit_all<T>(
     let together = (LOSS_MEMORY / (per_cell * data.sums.cells.list.len()).max(1)).max(1);
     let with_instruments = match options.instruments {
         Instruments::Auto => instruments::noise_share(data)? > instruments::NOISE_SHARE,
-        chosen => chosen == Instruments::On,
+        chosen => chosen != Instruments::Off,
     };
+    let motion = if with_instruments { Some(Motion::choose(data, options.instruments)?) } else { None };
     let mut out = Vec::with_capacity(trains.len());
     for group in trains.chunks(together) {
         let mut drafts: Vec<Draft> =
@@ -152,19 +156,62 @@ pub(crate) fn fit_all<T>(
             robust::reweigh(data, store, &mut drafts)?;
             drafts.iter_mut().try_for_each(|d| d.refit(data, round == 0))?;
         }
-        let sums = if with_instruments { Some(InstrumentSums::new(data, &drafts)?) } else { None };
-        for (d, draft) in drafts.iter_mut().enumerate() {
-            let mut solution = support::settle(data, draft, &draft.normal(data))?;
-            let mut check = None;
-            if let Some((own, found)) = sums.as_ref().and_then(|s| s.solve(data, d, draft, &solution)) {
-                let used = options.instruments == Instruments::On || found.statistic.abs() > found.threshold;
-                solution = if used { own } else { solution };
-                check = Some(InstrumentCheck { used, ..found });
+        for _ in 0..1 + usize::from(options.robust) {
+            if drafts.iter().any(|d| d.choice.lossy) {
+                triangles::pass(data, &mut drafts, options.robust)?;
+                drafts.iter_mut().filter(|d| d.choice.lossy).try_for_each(|d| d.refit_by_qr(data))?;
             }
+        }
+        let settled = drafts.iter().map(|d| support::settle(data, d, &d.factored(data)?)).collect::<Result<_, _>>()?;
+        let checked = match &motion {
+            Some(motion) => with_motion(data, store, &mut drafts, settled, motion, options)?,
+            None => settled.into_iter().map(|s| (s, None)).collect::<Vec<_>>(),
+        };
+        for (draft, (solution, check)) in drafts.iter_mut().zip(checked) {
             draft.beta = solution.beta.clone();
             draft.rescale(data);
             out.push(finish(draft, Solution { sigma: draft.sigma.clone(), ..solution }, check)?);
         }
+    }
+    Ok(out)
+}
+
+/// Rounds of instruments: from the second on, influence is bounded by residuals from the estimate before, not from least
+/// squares, whose bias would be kept in the weights.
+const ROUNDS: usize = 3;
+
+/// The fits by least squares, replaced where instruments are used, with the check.
+fn with_motion(
+    data: Data<'_>,
+    store: &Store,
+    drafts: &mut [Draft],
+    settled: Vec<Solution>,
+    motion: &Motion,
+    options: &Options,
+) -> Result<Vec<(Solution, Option<InstrumentCheck>)>, BadInput> {
+    let mut out: Vec<(Solution, Option<InstrumentCheck>)> = settled.iter().map(|s| (s.clone(), None)).collect();
+    for round in 0..ROUNDS {
+        let sums = InstrumentSums::new(data, drafts, motion)?;
+        let mut again = false;
+        for (d, (draft, plain)) in drafts.iter_mut().zip(&settled).enumerate() {
+            let (solution, check) = &mut out[d];
+            if round > 0 && !check.as_ref().is_some_and(|c| c.used) {
+                continue;
+            }
+            let Some((own, found)) = sums.solve(data, d, draft, plain) else { continue };
+            let used = round > 0 || options.instruments != Instruments::Auto || found.statistic.abs() > found.threshold;
+            if used {
+                draft.beta = own.beta.clone();
+                draft.rescale(data);
+                *solution = own;
+                again = options.robust;
+            }
+            *check = Some(InstrumentCheck { used, ..found });
+        }
+        if !again || round + 1 == ROUNDS {
+            break;
+        }
+        robust::reweigh(data, store, drafts)?;
     }
     Ok(out)
 }

@@ -1,7 +1,8 @@
 //! Weighted normal equations of a choice of columns, block by block, and what follows from them.
 
 use super::Unexcited;
-use lacuna_estimation::least_squares::Gram;
+use super::triangles::Factors;
+use lacuna_estimation::least_squares::{Gram, least_squares};
 use lacuna_interfaces::BadInput;
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
@@ -13,8 +14,8 @@ pub(crate) struct Choice {
     pub(crate) unexcited: Vec<Unexcited>,
     /// Torque of the unexcited columns is that of the robot file.
     pub(crate) fixed: Vec<f64>,
-    /// Part of a column outside the span of the others below which it was left out.
-    pub(crate) tolerance: f64,
+    /// Whether further columns are told apart that normal equations cannot carry beside these.
+    pub(crate) lossy: bool,
 }
 
 /// Statistics of the blocks that hold rows, over all base columns, and their sum.
@@ -22,6 +23,8 @@ pub(crate) struct Choice {
 pub(crate) struct Normal {
     pub(crate) blocks: Vec<Gram>,
     pub(crate) total: Gram,
+    /// The same by QR, where normal equations lose digits.
+    pub(crate) factors: Option<Factors>,
 }
 
 impl Normal {
@@ -30,11 +33,14 @@ impl Normal {
         use lacuna_estimation::least_squares::Statistics;
         let mut total = Gram::new(columns);
         blocks.iter().for_each(|b| total.merge(b));
-        Self { blocks, total }
+        Self { blocks, total, factors: None }
     }
 
     /// β of the excited columns, the others at the robot file's value.
     pub(crate) fn solve(&self, choice: &Choice) -> Result<DVector<f64>, BadInput> {
+        if let Some(factors) = &self.factors {
+            return factors.solve(choice);
+        }
         let part = self.total.select(&choice.excited);
         let fit = part.solve()?;
         let mut beta = DVector::from_column_slice(&choice.fixed);
@@ -51,6 +57,24 @@ impl Normal {
         Ok(beta)
     }
 
+    /// Condition number of the weighted, column-scaled regressor of some columns.
+    pub(crate) fn condition(&self, columns: &[usize]) -> f64 {
+        match &self.factors {
+            Some(factors) => condition_of(factors.columns(columns)),
+            None => self.total.select(columns).condition(),
+        }
+    }
+
+    /// Factors of the combination of `columns` that is nearest to column `base`.
+    pub(crate) fn nearest(&self, columns: &[usize], base: usize) -> Result<DVector<f64>, BadInput> {
+        if let Some(factors) = &self.factors {
+            return Ok(least_squares(&factors.columns(columns), &factors.columns(&[base]).column(0).into_owned())?.beta);
+        }
+        let xtx = self.total.xtx();
+        let cross = DVector::from_iterator(columns.len(), columns.iter().map(|&b| xtx[(b, base)]));
+        Ok(self.total.select(columns).solve()?.inverse_gram * cross)
+    }
+
     /// Delete-one-block covariance of β about its value `beta` over all blocks, and the number of blocks behind it.
     pub(crate) fn jackknife(&self, choice: &Choice) -> (DMatrix<f64>, usize) {
         let without: Vec<DVector<f64>> = self.leave_one_out(choice);
@@ -59,6 +83,9 @@ impl Normal {
 
     /// β without each block in turn; blocks without which β is not determined are left out.
     pub(crate) fn leave_one_out(&self, choice: &Choice) -> Vec<DVector<f64>> {
+        if let Some(factors) = &self.factors {
+            return factors.leave_one_out(choice);
+        }
         let fixed = DVector::from_column_slice(&choice.fixed);
         // X_eᵀ(y − X_f β_f) and X_eᵀX_e of the whole, less the block's.
         let reduce = |gram: &Gram| {
@@ -83,6 +110,22 @@ impl Normal {
             })
             .collect()
     }
+}
+
+/// Condition number of a matrix with its columns scaled to unit length; infinite where one is zero.
+pub(crate) fn condition_of(mut columns: DMatrix<f64>) -> f64 {
+    for mut column in columns.column_iter_mut() {
+        let length = column.norm();
+        if !(length > 0.0 && length.is_finite()) {
+            return f64::INFINITY;
+        }
+        column.unscale_mut(length);
+    }
+    if columns.is_empty() {
+        return f64::INFINITY;
+    }
+    let singular = columns.singular_values();
+    singular.max() / singular.min()
 }
 
 /// Delete-one covariance of estimates of `p` parameters.

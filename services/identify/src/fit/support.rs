@@ -6,7 +6,7 @@ use super::{Solution, Unexcited, Why};
 use crate::columns::Term;
 use lacuna_estimation::least_squares::{GRAM_CONDITION_LIMIT, Gram, Pivoting, base_parameters};
 use lacuna_interfaces::BadInput;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DMatrix;
 
 /// Part of a data column outside the span of the others below which the recordings do not tell it apart; raised
 /// tenfold where the normal equations are still too ill-conditioned.
@@ -16,41 +16,95 @@ const DATA_TOLERANCE: [f64; 4] = [1e-4, 1e-3, 1e-2, 1e-1];
 /// by its encoder's resolution.
 const SILENT: f64 = 1e-4;
 
-/// Columns that these data excite and tell apart, and the condition number of all that are not zero.
-pub(super) fn excited(data: Data<'_>, draft: &Draft, total: &Gram) -> Result<(Choice, f64), BadInput> {
+/// A column of unit length whose part outside the span of the others is below this is a combination of them, as far as a
+/// Gram matrix can tell: its rounding, 1e-15, is the square of what it resolves.
+const GRAM_FLOOR: f64 = 3e-7;
+/// The same by QR, raised where the columns together are still too nearly dependent.
+const QR_TOLERANCE: [f64; 3] = [1e-7, 1e-6, 1e-5];
+/// Largest condition number of a fit by QR: nine digits of β remain.
+const QR_CONDITION_LIMIT: f64 = 1e7;
+
+/// What is known of the columns that are not zero.
+struct Moved<'a> {
+    /// Base columns.
+    list: Vec<usize>,
+    /// Those that are.
+    zero: Vec<usize>,
+    /// A matrix of unit columns with the dependences of the list.
+    root: DMatrix<f64>,
+    /// Condition number of some columns.
+    condition: &'a dyn Fn(&[usize]) -> f64,
+    /// XᵀX.
+    xtx: DMatrix<f64>,
+}
+
+/// Base columns that move and that do not.
+fn partition(data: Data<'_>, draft: &Draft) -> (Vec<usize>, Vec<usize>) {
     let base = &data.stream.structure.base;
-    let (moved, zero): (Vec<usize>, Vec<usize>) =
-        (0..base.len()).partition(|&b| draft.rms[b] > SILENT * base[b].typical);
-    let root = column_root(&total.select(&moved).xtx());
-    for tolerance in DATA_TOLERANCE {
-        let found = base_parameters(&root, tolerance, Pivoting::InOrder)?;
-        let mut excited: Vec<usize> = found.independent.iter().map(|&i| moved[i]).collect();
-        excited.sort_unstable();
-        if excited.is_empty() {
-            break;
+    (0..base.len()).partition(|&b| draft.rms[b] > SILENT * base[b].typical)
+}
+
+/// Columns that these data excite and that normal equations tell apart, and the condition number of all that are not zero.
+pub(super) fn excited(data: Data<'_>, draft: &Draft, total: &Gram) -> Result<(Choice, f64), BadInput> {
+    let (list, zero) = partition(data, draft);
+    let root = column_root(&total.select(&list).xtx());
+    let condition = |columns: &[usize]| total.select(columns).condition();
+    let moved = Moved { list, zero, root, condition: &condition, xtx: total.xtx() };
+    let (mut choice, condition) = moved.choose(data, &DATA_TOLERANCE, 0.5 * GRAM_CONDITION_LIMIT)?;
+    let resolved = base_parameters(&moved.root, GRAM_FLOOR, Pivoting::InOrder)?.rank();
+    choice.lossy = resolved > choice.excited.len();
+    Ok((choice, condition))
+}
+
+/// The same where the factors of QR tell further ones apart.
+pub(super) fn told_apart(data: Data<'_>, draft: &Draft, normal: &Normal) -> Result<(Choice, f64), BadInput> {
+    let Some(factors) = &normal.factors else { return excited(data, draft, &normal.total) };
+    let (list, zero) = partition(data, draft);
+    let mut root = factors.columns(&list);
+    root.column_iter_mut().for_each(|mut c| {
+        let length = c.norm();
+        c.unscale_mut(if length > 0.0 { length } else { 1.0 });
+    });
+    let condition = |columns: &[usize]| normal.condition(columns);
+    let moved = Moved { list, zero, root, condition: &condition, xtx: normal.total.xtx() };
+    let (mut choice, condition) = moved.choose(data, &QR_TOLERANCE, QR_CONDITION_LIMIT)?;
+    choice.lossy = true;
+    Ok((choice, condition))
+}
+
+impl Moved<'_> {
+    /// The most columns, by the lowest of `tolerances` at which their condition number is below `limit`.
+    fn choose(&self, data: Data<'_>, tolerances: &[f64], limit: f64) -> Result<(Choice, f64), BadInput> {
+        let base = &data.stream.structure.base;
+        for &tolerance in tolerances {
+            let found = base_parameters(&self.root, tolerance, Pivoting::InOrder)?;
+            let mut excited: Vec<usize> = found.independent.iter().map(|&i| self.list[i]).collect();
+            excited.sort_unstable();
+            if excited.is_empty() {
+                break;
+            }
+            if (self.condition)(&excited) > limit {
+                continue;
+            }
+            // Factors were found for columns of unit length.
+            let length = |b: usize| self.xtx[(b, b)].sqrt();
+            let dependent = found.dependent.into_iter().map(|d| {
+                let column = self.list[d.column];
+                let factor = |&(i, k): &(usize, f64)| (self.list[i], k * length(column) / length(self.list[i]));
+                Unexcited { base: column, why: Why::Dependent, combination: d.combination.iter().map(factor).collect() }
+            });
+            let silent = self.zero.iter().map(|&base| Unexcited { base, why: Why::Zero, combination: Vec::new() });
+            let mut unexcited: Vec<Unexcited> = dependent.chain(silent).collect();
+            unexcited.sort_by_key(|u| u.base);
+            let mut fixed = vec![0.0; base.len()];
+            unexcited.iter().for_each(|u| fixed[u.base] = base[u.base].nominal);
+            let choice = Choice { excited, unexcited, fixed, lossy: false };
+            return Ok((choice, (self.condition)(&self.list)));
         }
-        if total.select(&excited).condition() > 0.5 * GRAM_CONDITION_LIMIT {
-            continue;
-        }
-        // Factors were found for columns of unit length.
-        let xtx = total.xtx();
-        let length = |b: usize| xtx[(b, b)].sqrt();
-        let dependent = found.dependent.into_iter().map(|d| {
-            let column = moved[d.column];
-            let combination =
-                d.combination.iter().map(|&(i, k)| (moved[i], k * length(column) / length(moved[i]))).collect();
-            Unexcited { base: column, why: Why::Dependent, combination }
-        });
-        let silent = zero.iter().map(|&base| Unexcited { base, why: Why::Zero, combination: Vec::new() });
-        let mut unexcited: Vec<Unexcited> = dependent.chain(silent).collect();
-        unexcited.sort_by_key(|u| u.base);
-        let mut fixed = vec![0.0; base.len()];
-        unexcited.iter().for_each(|u| fixed[u.base] = base[u.base].nominal);
-        return Ok((Choice { excited, unexcited, fixed, tolerance }, total.select(&moved).condition()));
+        Err(BadInput::new(
+            "found columns that the recordings do not tell apart at any tolerance; expected motion of every joint",
+        ))
     }
-    Err(BadInput::new(
-        "found columns that the recordings do not tell apart at any tolerance; expected motion of every joint",
-    ))
 }
 
 /// Drops columns that the data do not support until all that are left are.
@@ -60,9 +114,9 @@ pub(super) fn settle(data: Data<'_>, draft: &Draft, normal: &Normal) -> Result<S
         let beta = normal.solve(&choice)?;
         let (covariance, blocks) = normal.jackknife(&choice);
         let solution = Solution {
-            condition: normal.total.select(&choice.excited).condition(),
+            condition: normal.condition(&choice.excited),
             condition_all: draft.condition_all,
-            digits_lost: choice.tolerance > DATA_TOLERANCE[0],
+            by_qr: normal.factors.is_some(),
             beta,
             covariance,
             blocks,
@@ -75,7 +129,7 @@ pub(super) fn settle(data: Data<'_>, draft: &Draft, normal: &Normal) -> Result<S
         };
         // Every turn drops a column, so this ends.
         match unsupported(data, &solution, &draft.size) {
-            Some((base, why)) => drop_column(data, &normal.total, &mut choice, base, why)?,
+            Some((base, why)) => drop_column(data, normal, &mut choice, base, why)?,
             None => return Ok(solution),
         }
     }
@@ -106,12 +160,10 @@ fn unsupported(data: Data<'_>, solution: &Solution, size: &[f64]) -> Option<(usi
 }
 
 /// Takes a column out of the fit and notes what it is nearest to.
-fn drop_column(data: Data<'_>, total: &Gram, choice: &mut Choice, base: usize, why: Why) -> Result<(), BadInput> {
+fn drop_column(data: Data<'_>, normal: &Normal, choice: &mut Choice, base: usize, why: Why) -> Result<(), BadInput> {
     choice.excited.retain(|b| *b != base);
-    let xtx = total.xtx();
-    let rest = total.select(&choice.excited).solve()?;
-    let cross = DVector::from_iterator(choice.excited.len(), choice.excited.iter().map(|&b| xtx[(b, base)]));
-    let factors = rest.inverse_gram * cross;
+    let xtx = normal.total.xtx();
+    let factors = normal.nearest(&choice.excited, base)?;
     let length = xtx[(base, base)].sqrt();
     let combination = choice
         .excited

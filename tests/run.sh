@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # Runs all tests:  ./tests/run.sh          the tests every change must pass (about ten minutes cold, on two cores)
 #                  ./tests/run.sh --all    also the long ones
-# Independent readers, viewer and stage (Python: mcap, mcap-ros2-support, rosbags, websockets, iceoryx2) go into a virtual environment of
-# their own under target/; where that cannot be made, the tests that need them say SKIPPED.
+# Independent readers, viewer and stage (Python: mcap, mcap-ros2-support, rosbags, websockets, iceoryx2, pandas, pyarrow,
+# scipy; JavaScript: @mcap/core; with --all Rerun, and Ray) go into environments of their own under target/; where one
+# cannot be made, the tests that need it say SKIPPED.
 set -uo pipefail
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 cd "$root" || exit 1
@@ -33,7 +34,39 @@ if [ -f "$venv/ready" ] && [ ! -f "$venv/ready-pin" ]; then
         echo "note: no Pinocchio; the tests that hold torques against it will be skipped" >&2
     fi
 fi
+# Readers of exported tables, and what the notebook page uses.
+if [ -f "$venv/ready" ] && [ ! -f "$venv/ready-tables" ]; then
+    if "$venv/bin/pip" install --quiet --disable-pip-version-check pandas==3.1.1 pyarrow==26.0.1 scipy matplotlib; then
+        touch "$venv/ready-tables"
+    else
+        echo "note: no pandas, pyarrow, scipy; the tests that read exported tables with them will be skipped" >&2
+    fi
+fi
+# The MCAP reader of the web: needs node and npm.
+node=$target/test-node
+if [ ! -f "$node/ready" ]; then
+    mkdir -p "$node"
+    if command -v node > /dev/null && npm install --silent --no-audit --no-fund --prefix "$node" \
+        @mcap/core@2.2.2 @mcap/support@1.1.0 @foxglove/rosmsg@5.0.5 @foxglove/rosmsg2-serialization@3.1.0; then
+        touch "$node/ready"
+    else
+        echo "note: no node or no packages for it; the test with @mcap/core will be skipped" >&2
+    fi
+fi
+# Rerun and Ray are large (1.2 GB installed): for --all only.
+if [ ${#long[@]} -gt 0 ] && [ ! -f "$venv-long/ready" ]; then
+    rm -rf "$venv-long"
+    if python3 -m venv "$venv-long" && "$venv-long/bin/pip" install --quiet --disable-pip-version-check \
+        rerun-sdk==0.41.0 ray==2.60.0 pandas==3.1.1 pyarrow==26.0.1; then
+        touch "$venv-long/ready"
+    else
+        echo "note: no Rerun or no Ray; the tests with them will be skipped" >&2
+    fi
+fi
 [ -f "$venv/ready" ] && export LACUNA_TEST_PYTHON=$venv/bin/python
+[ -f "$venv/ready-tables" ] && export LACUNA_TEST_PYTHON_TABLES=$venv/bin/python
+[ -f "$node/ready" ] && export LACUNA_TEST_NODE=$node
+[ -f "$venv-long/ready" ] && export LACUNA_TEST_PYTHON_LONG=$venv-long/bin/python
 
 # Tools of the long tests: the tunnel between machines (fifteen minutes of processor time, once) and cargo-deb.
 if [ ${#long[@]} -gt 0 ]; then

@@ -6,7 +6,7 @@
     read_mcap.py probe              exits 0 if these packages are there
 
 Output: {"topics": {topic: {"log_time": [...], "stamp": [...], "fields": {name: [per message]}}},
-"metadata": {name: {...}}, "attachments": {name: size}}. Floating-point fields are strings that hold all digits,
+"metadata": {name: {...}}, "attachments": {name: size}, "profile", "schemas": {topic: type}}. Floating-point fields are strings that hold all digits,
 since JSON readers may round.
 """
 
@@ -40,6 +40,8 @@ class Found:
         self.topics = {}
         self.metadata = {}
         self.attachments = {}
+        self.profile = None
+        self.schemas = {}
 
     def add(self, topic, log_time, message):
         entry = self.topics.setdefault(topic, {"log_time": [], "stamp": [], "fields": {}})
@@ -61,6 +63,8 @@ def read_indexed(path):
     with open(path, "rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()], validate_crcs=True)
         summary = reader.get_summary()
+        found.profile = reader.get_header().profile
+        found.schemas = {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()}
         for _, channel, message, decoded in reader.iter_decoded_messages(log_time_order=False):
             found.add(channel.topic, message.log_time, decoded)
         for record in reader.iter_metadata():

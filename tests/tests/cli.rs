@@ -18,7 +18,7 @@ fn commands() -> BTreeMap<String, String> {
 }
 
 /// A small example of every command that has `--json`, in the order in which they can run in one folder.
-const JSON: [(&str, &[&str]); 12] = [
+const JSON: [(&str, &[&str]); 16] = [
     (
         "simulate",
         &[
@@ -35,6 +35,11 @@ const JSON: [(&str, &[&str]); 12] = [
         ],
     ),
     ("info", &["info", "rec/traj_01.csv", "--robot", "robot.toml", "--json"]),
+    ("export", &["export", "rec/traj_01.csv", "--robot", "robot.toml", "--to", "table.csv", "--json"]),
+    ("hz", &["hz", "rec/traj_01.csv", "--robot", "robot.toml", "--json"]),
+    // These print an object a line: here one.
+    ("echo", &["echo", "rec/traj_01.csv", "--robot", "robot.toml", "--limit", "1", "--json"]),
+    ("play", &["play", "rec/traj_01.csv", "--robot", "robot.toml", "--until", "0.0005", "--json"]),
     (
         "identify",
         &["identify", "--robot", "robot.toml", "--out", "model", "--json", "rec/traj_01.csv", "rec/traj_02.csv"],

@@ -2,31 +2,40 @@
 
 use crate::chosen::Chosen;
 use crate::progress::Progress;
+use crate::result::{self, Job};
+use crate::result_rows::{self, Origin};
 use crate::{CommandResult, diagnose_report, words};
 use clap::Args;
 use lacuna_diagnose::findings::Finding;
 use lacuna_diagnose::{Conditioning, Options, Outcome};
 use lacuna_interfaces::{BadInput, Recording};
+use lacuna_recording::LoadedRobot;
 use lacuna_report::number::{percent, significant};
 use lacuna_simulate::Manifest;
 use lacuna_stage::Failure;
+use serde::Serialize;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-#[derive(Args)]
+#[derive(Args, Serialize)]
 pub struct DiagnoseArgs {
     /// Robot file: the model that is held against the recordings.
     #[arg(long, value_name = "FILE")]
+    #[serde(skip)]
     robot: PathBuf,
-    /// Folder for findings.json, model.toml and report.html.
+    /// Folder for findings.json, model.toml, report.html and result.parquet. A complete result of the same recordings,
+    /// options and program that is there already is left as it is.
     #[arg(long, value_name = "DIR")]
+    #[serde(skip)]
     out: PathBuf,
     /// Recordings of the robot (CSV, MCAP or ROS 2 bag). A manifest.json beside them tells when each began.
     #[arg(value_name = "RECORDING")]
+    #[serde(skip)]
     recordings: Vec<PathBuf>,
     /// Recordings of your own simulator: what does it leave out? Best with the robot's motions, in the same order.
     #[arg(long, num_args = 1.., value_name = "RECORDING")]
+    #[serde(skip)]
     sim: Vec<PathBuf>,
     /// Recordings, or parts of them in seconds, to choose and fit the model on: FILE, FILE@from:to.
     #[arg(long, num_args = 1.., value_name = "FILE[@from:to]")]
@@ -46,8 +55,16 @@ pub struct DiagnoseArgs {
     /// Band in which torque and model are compared [Hz]. Default: from the recordings.
     #[arg(long, value_name = "HZ", allow_negative_numbers = true)]
     band: Option<f64>,
+    /// What to call this set in result.parquet: a serial number, a cell, a date.
+    #[arg(long, value_name = "TEXT")]
+    label: Option<String>,
+    /// Do it again even if a complete result is there.
+    #[arg(long)]
+    #[serde(skip)]
+    force: bool,
     /// Print findings.json on standard output, in place of the summary.
     #[arg(long)]
+    #[serde(skip)]
     json: bool,
 }
 
@@ -58,13 +75,20 @@ pub fn diagnose(args: &DiagnoseArgs) -> CommandResult {
     let moving_rad_s = args.moving.map(|v| words::not_negative("--moving", v)).transpose()?;
     let chosen = Chosen::of(&args.recordings, &args.train, &args.test, args.holdout.as_deref())?;
     let progress = Progress::bar();
-    progress.step("reading");
+    progress.step("looking for an earlier result");
     let robot = lacuna_recording::load_robot(&args.robot)?;
+    let start_s = start_times(&chosen.paths);
+    let job = job(args, &chosen.paths, start_s.as_deref(), &robot)?;
+    if !args.force && job.is_done(&args.out) {
+        drop(progress);
+        result::say_done(&args.out, "findings.json", args.json)?;
+        return Ok(ExitCode::SUCCESS);
+    }
+    progress.step("reading");
     let read = |paths: &[PathBuf]| -> Result<Vec<Recording>, BadInput> {
         paths.iter().map(|path| lacuna_recording::read_all(path, &robot.file)).collect()
     };
     let (recordings, sim) = (read(&chosen.paths)?, read(&args.sim)?);
-    let start_s = start_times(&chosen.paths);
     let started = start_s.is_some();
     let options = Options {
         robot: robot.file,
@@ -83,16 +107,34 @@ pub fn diagnose(args: &DiagnoseArgs) -> CommandResult {
     let outcome = lacuna_diagnose::diagnose(&options, &mut |share, words| progress.at(share, &doing(words)))?;
     progress.step("writing the report");
     let html = lacuna_report::diagnosis_report(&diagnose_report::data(&outcome, &options, started));
-    write(&outcome, &args.out)?;
-    words::write(&args.out.join("report.html"), html.as_bytes())?;
+    let recordings = &outcome.findings.recordings;
+    let origin = Origin { label: args.label.as_deref(), set: job.set(), recordings };
+    let rows = result_rows::diagnose(&outcome.findings, &origin)?;
+    let stage = job.stage(&args.out)?;
+    write(&outcome, stage.path())?;
+    words::write(&stage.path().join("report.html"), html.as_bytes())?;
+    words::write(&stage.path().join("result.parquet"), &rows)?;
+    let names = stage.commit()?;
     drop(progress);
     if args.json {
         words::print_json(&outcome.findings)?;
     } else {
-        let files = words::files(&args.out, &["findings.json", "model.toml", "report.html"]);
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let files = words::files(&args.out, &names);
         words::say(&(summary(&outcome, options.robot.torque_unit.symbol()) + &files))?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// All that the result depends on.
+fn job(args: &DiagnoseArgs, paths: &[PathBuf], start_s: Option<&[f64]>, robot: &LoadedRobot) -> Result<Job, Failure> {
+    let mut files: Vec<(&str, &Path)> = paths.iter().map(|path| ("recording", path.as_path())).collect();
+    files.extend(args.sim.iter().map(|path| ("sim", path.as_path())));
+    let mut options = serde_json::to_value(args).map_err(|e| Failure::run(format!("options: {e}")))?;
+    if let (Some(map), Some(start_s)) = (options.as_object_mut(), start_s) {
+        map.insert("start_s".to_owned(), start_s.into());
+    }
+    Job::new("diagnose", options, robot, &files)
 }
 
 /// What the search says of itself, as a user wants to read it.

@@ -32,14 +32,22 @@ pub struct UpArgs {
     quiet: bool,
 }
 
-/// Reads and resolves a graph file.
-fn load(args: &UpArgs) -> Result<GraphFile, Failure> {
-    let mut overrides = Vec::new();
-    for pair in &args.set {
+/// The keys and values of `--set`.
+///
+/// # Errors
+/// For one without `=`.
+pub fn pairs(set: &[String]) -> Result<Vec<(String, String)>, Failure> {
+    let pair = |pair: &String| {
         let (key, value) =
             pair.split_once('=').ok_or_else(|| Failure::usage(format!("--set {pair}: expected KEY=VALUE")))?;
-        overrides.push((key.trim().to_owned(), value.to_owned()));
-    }
+        Ok((key.trim().to_owned(), value.to_owned()))
+    };
+    set.iter().map(pair).collect()
+}
+
+/// Reads and resolves a graph file.
+fn load(args: &UpArgs) -> Result<GraphFile, Failure> {
+    let overrides = pairs(&args.set)?;
     let text = std::fs::read_to_string(&args.graph)
         .map_err(|e| Failure::usage(format!("{}: cannot read: {e}", args.graph.display())))?;
     let graph = GraphFile::parse(&text).and_then(|g| g.resolve(&overrides)).map_err(|e| e.in_file(&args.graph))?;
@@ -68,25 +76,37 @@ fn locate(exec: &str) -> Result<PathBuf, Failure> {
 /// `lacuna up`.
 pub fn up(args: UpArgs) -> CommandResult {
     let graph = load(&args)?;
+    if args.dry_run {
+        let (_, executables) = check(&graph)?;
+        print_plan(&graph, &executables);
+        return Ok(ExitCode::SUCCESS);
+    }
+    run(&graph, &args.graph, args.json, args.quiet)
+}
+
+/// Holds a graph against its robot, models and executables.
+fn check(graph: &GraphFile) -> Result<(TorqueUnit, Vec<PathBuf>), Failure> {
     let robot = lacuna_recording::load_robot(Path::new(&graph.robot))?;
     let own = graph.branch_models().into_iter().map(|(_, model)| model);
     for model in own.chain([graph.model.as_str()]).filter(|m| !m.is_empty()) {
         lacuna_recording::load_model(Path::new(model), &robot.file)?;
     }
     let executables = graph.nodes.iter().map(|n| locate(&n.exec)).collect::<Result<Vec<_>, _>>()?;
-    if args.dry_run {
-        print_plan(&graph, &executables);
-        return Ok(ExitCode::SUCCESS);
-    }
+    Ok((robot.file.torque_unit, executables))
+}
+
+/// Runs a resolved graph to its end and says what became of it.
+pub fn run(graph: &GraphFile, path: &Path, json: bool, quiet: bool) -> CommandResult {
+    let (torque_unit, executables) = check(graph)?;
     let dir = runs::create(&graph.name)?;
-    let report = Supervisor::start(&args.graph, &graph, &executables, &dir, !args.quiet && !args.json)?.run()?;
-    if args.json {
+    let report = Supervisor::start(path, graph, &executables, &dir, !quiet && !json)?.run()?;
+    if json {
         let text = serde_json::to_string_pretty(&report).map_err(|e| Failure::run(e.to_string()))?;
         println!("{text}");
-    } else if !args.quiet {
-        print_summary(&graph, &report);
-        if robot.file.torque_unit != TorqueUnit::Nm {
-            println!("  all torques of this robot are in {}, as its file says", robot.file.torque_unit.symbol());
+    } else if !quiet {
+        print_summary(graph, &report);
+        if torque_unit != TorqueUnit::Nm {
+            println!("  all torques of this robot are in {}, as its file says", torque_unit.symbol());
         }
     }
     Ok(if report.lost > 0 { ExitCode::from(3) } else { ExitCode::SUCCESS })

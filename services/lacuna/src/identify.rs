@@ -2,6 +2,8 @@
 
 use crate::payload::{self, CarriedArgs};
 use crate::progress::Progress;
+use crate::result::{self, Job};
+use crate::result_rows::{self, Origin};
 use crate::{CommandResult, identify_report, words};
 use clap::Args;
 use lacuna_identify::condition::Conditioning;
@@ -11,22 +13,28 @@ use lacuna_identify::paper::PaperResult;
 use lacuna_identify::urdf::model_urdf;
 use lacuna_identify::{Delay, FileRange, Options, Outcome, Signal};
 use lacuna_interfaces::BadInput;
+use lacuna_recording::LoadedRobot;
 use lacuna_report::number::{percent, significant};
 use lacuna_stage::Failure;
+use serde::Serialize;
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-#[derive(Args)]
+#[derive(Args, Serialize)]
 pub struct IdentifyArgs {
     /// Robot file.
     #[arg(long, value_name = "FILE")]
+    #[serde(skip)]
     robot: PathBuf,
-    /// Folder for model.toml, identification.json and report.html.
+    /// Folder for model.toml, identification.json, report.html and result.parquet. A complete result of the same
+    /// recordings, options and program that is there already is left as it is.
     #[arg(long, value_name = "DIR")]
+    #[serde(skip)]
     out: PathBuf,
     /// Recordings (CSV, MCAP or ROS 2 bag); every one is held out in turn.
     #[arg(value_name = "RECORDING")]
+    #[serde(skip)]
     recordings: Vec<PathBuf>,
     /// Recordings, or parts of them in seconds, to train on: FILE, FILE@from:to.
     #[arg(long, num_args = 1.., value_name = "FILE[@from:to]")]
@@ -82,14 +90,23 @@ pub struct IdentifyArgs {
     /// Recordings with a payload, kept out of the fit: its mass over time, and the torque error without and with it (the
     /// paper's Table 2 and Fig. 8).
     #[arg(long, num_args = 1.., value_name = "FILE")]
+    #[serde(skip)]
     payload: Vec<PathBuf>,
     #[command(flatten)]
     carried: CarriedArgs,
     /// Length of a block of time behind the intervals [s]. Default: from the amount of data.
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     block: Option<f64>,
+    /// What to call this set in result.parquet: a serial number, a cell, a date.
+    #[arg(long, value_name = "TEXT")]
+    label: Option<String>,
+    /// Do it again even if a complete result is there.
+    #[arg(long)]
+    #[serde(skip)]
+    force: bool,
     /// Print identification.json on standard output, in place of the summary.
     #[arg(long)]
+    #[serde(skip)]
     json: bool,
 }
 
@@ -152,12 +169,19 @@ pub fn identify(args: &IdentifyArgs) -> CommandResult {
     }
     words::folder_for(&args.out)?;
     let progress = Progress::bar();
+    progress.step("looking for an earlier result");
+    let loaded = lacuna_recording::load_robot(&args.robot)?;
+    let (job, recordings) = job(args, &options, &loaded)?;
+    if !args.force && job.is_done(&args.out) {
+        drop(progress);
+        result::say_done(&args.out, "identification.json", args.json)?;
+        return Ok(ExitCode::SUCCESS);
+    }
     let mut outcome = lacuna_identify::identify(&options, &mut |share, words| progress.at(share, words))?;
     if options.consistent && outcome.identification.consistency.is_none() {
         // Never an ordinary model under the name of a consistent one.
         return Err(Failure::run("--consistent: no physically consistent fit was made for this robot and method"));
     }
-    let loaded = lacuna_recording::load_robot(&args.robot)?;
     if !args.payload.is_empty() {
         progress.step("estimating the payload");
         let urdf = loaded.urdf.as_deref();
@@ -166,21 +190,41 @@ pub fn identify(args: &IdentifyArgs) -> CommandResult {
     let urdf = loaded.urdf.as_deref().map(|text| model_urdf(&outcome, &loaded.file, text)).transpose()?.flatten();
     progress.step("writing the report");
     let html = lacuna_report::identification_report(&identify_report::data(&outcome));
-    lacuna_identify::write(&outcome, &args.out)?;
-    words::write(&args.out.join("report.html"), html.as_bytes())?;
-    let mut names = vec!["model.toml", "identification.json", "report.html"];
+    let origin = Origin { label: args.label.as_deref(), set: job.set(), recordings: &recordings };
+    let rows = result_rows::identify(&outcome.identification, &origin)?;
+    let stage = job.stage(&args.out)?;
+    lacuna_identify::write(&outcome, stage.path())?;
+    words::write(&stage.path().join("report.html"), html.as_bytes())?;
+    words::write(&stage.path().join("result.parquet"), &rows)?;
     if let Some(text) = urdf {
-        words::write(&args.out.join("model.urdf"), text.as_bytes())?;
-        names.push("model.urdf");
+        words::write(&stage.path().join("model.urdf"), text.as_bytes())?;
     }
+    let names = stage.commit()?;
     drop(progress);
     if args.json {
         words::print_json(&outcome.identification)?;
     } else {
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let files = words::files(&args.out, &names);
         words::say(&(summary(&outcome) + &files))?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// All that the result depends on, and the recordings' names.
+fn job(args: &IdentifyArgs, options: &Options, robot: &LoadedRobot) -> Result<(Job, Vec<String>), Failure> {
+    let ranges = options.train.iter().chain(&options.test).map(|r| r.file.as_path());
+    let mut recordings: Vec<&Path> = Vec::new();
+    for path in args.recordings.iter().map(PathBuf::as_path).chain(ranges) {
+        if !recordings.contains(&path) {
+            recordings.push(path);
+        }
+    }
+    let mut files: Vec<(&str, &Path)> = recordings.iter().map(|path| ("recording", *path)).collect();
+    files.extend(args.payload.iter().map(|path| ("payload", path.as_path())));
+    let options = serde_json::to_value(args).map_err(|e| Failure::run(format!("options: {e}")))?;
+    let names = recordings.iter().map(|p| p.file_name().unwrap_or_default().to_string_lossy().into_owned());
+    Ok((Job::new("identify", options, robot, &files)?, names.collect()))
 }
 
 /// What a user should see first: how good, what is not in the data, what to beware of.

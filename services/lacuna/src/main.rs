@@ -6,19 +6,26 @@ mod chosen;
 mod demo;
 mod diagnose;
 mod diagnose_report;
+mod echo;
 mod excite;
+mod export;
 mod graph;
+mod hz;
 mod identify;
 mod identify_report;
 mod info;
 mod install;
+mod lines;
 mod messages;
 mod payload;
 mod payload_report;
+mod play;
 mod progress;
 mod prove;
 mod recorded;
 mod recover;
+mod result;
+mod result_rows;
 mod runs;
 mod simulate;
 mod supervise;
@@ -74,6 +81,14 @@ enum Command {
     Excite(excite::ExciteArgs),
     /// Show what is in a recording.
     Info(info::InfoArgs),
+    /// Write a recording as CSV, Parquet or MATLAB table, or as a ROS 2 bag folder.
+    Export(export::ExportArgs),
+    /// Play a recording at its pace: on the terminal, or through a process graph.
+    Play(play::PlayArgs),
+    /// Print the samples of a recording, or of a live graph that is running.
+    Echo(echo::EchoArgs),
+    /// Measure how often samples come, topic by topic, in a recording or in a live graph.
+    Hz(hz::HzArgs),
     /// Complete an MCAP recording that was cut off or damaged.
     Recover(recover::RecoverArgs),
     /// Print the bus's messages as another language declares them.
@@ -110,6 +125,10 @@ fn main() -> ExitCode {
         Command::Simulate(args) => simulate::simulate(&args),
         Command::Excite(args) => excite::excite(&args),
         Command::Info(args) => info::info(&args),
+        Command::Export(args) => export::export(&args),
+        Command::Play(args) => play::play(&args),
+        Command::Echo(args) => echo::echo(&args),
+        Command::Hz(args) => hz::hz(&args),
         Command::Recover(args) => recover::recover(&args),
         Command::Messages(args) => messages::messages(&args),
         Command::Completions(args) => install::completions(&args, command()),

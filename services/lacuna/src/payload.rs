@@ -36,7 +36,7 @@ pub struct PayloadArgs {
 }
 
 /// Options of the estimate that `identify` shares.
-#[derive(Args)]
+#[derive(Args, serde::Serialize)]
 pub struct CarriedArgs {
     /// When something is known to be carried, in seconds of the one recording's own time, e.g. from the gripper's log, and
     /// its mass if known. Without it, picks and places are found.

@@ -192,6 +192,13 @@ pub struct RunArgs {
     run: Option<String>,
 }
 
+impl RunArgs {
+    /// As if the user had given `name`.
+    pub fn named(name: &str) -> Self {
+        Self { run: Some(name.to_owned()) }
+    }
+}
+
 #[derive(Args)]
 pub struct StatusArgs {
     #[command(flatten)]

@@ -1,6 +1,7 @@
 //! Readers that share no code with this crate find every sample, in order, with its exact numbers: Python's
-//! `mcap` + `mcap-ros2-support` and `rosbags` (a Python with them is named by `LACUNA_TEST_PYTHON`), and the
-//! `mcap` crate.
+//! `mcap` + `mcap-ros2-support` and `rosbags` (a Python with them is named by `LACUNA_TEST_PYTHON`), JavaScript's
+//! `@mcap/core` (its node_modules are in `LACUNA_TEST_NODE`), the Rerun viewer (`LACUNA_TEST_PYTHON_LONG`), and the `mcap`
+//! crate.
 
 mod common;
 
@@ -106,6 +107,7 @@ fn check(found: &Value, n: u64) {
         assert_eq!(watch["region_variable"][at], serde_json::json!([1, 3, 0]));
         let status = &topics["/status"]["fields"];
         assert_eq!(status["seq"][at], k + 1);
+        assert_eq!(status["flags"][at], if k % 10 == 3 { 1 << 7 } else { 0 });
         assert_eq!(status["lag_ns"][at], 5);
         assert_eq!(status["hop_latency_ns"][at], serde_json::json!([100 + k, 200, 300]));
         let detail = &topics["/measured/detail"]["fields"];
@@ -123,6 +125,9 @@ fn python_finds_every_sample() {
         recording(&path, &format!("compression = \"{compression}\"\nchunk_kib = 64\n"));
         let found = read(&python, "mcap", &path);
         check(&found, SAMPLES);
+        assert_eq!(found["profile"], "ros2");
+        assert_eq!(found["schemas"]["/measured"], "sensor_msgs/msg/JointState");
+        assert_eq!(found["schemas"]["/monitor"], "lacuna_msgs/msg/ResidualWatch");
         check(&read(&python, "linear", &path), SAMPLES);
         assert_eq!(found["attachments"], serde_json::json!({"robot.toml": 14, "graph.toml": 0}));
         let start = &found["metadata"]["lacuna"];
@@ -134,6 +139,78 @@ fn python_finds_every_sample() {
         assert_eq!((&end["complete"], &end["lossless"]), (&Value::from("true"), &Value::from("true")));
         assert_eq!(end["samples.payload"], SAMPLES.to_string());
     }
+}
+
+#[test]
+fn javascript_finds_every_sample() {
+    let Ok(modules) = std::env::var("LACUNA_TEST_NODE") else {
+        eprintln!("SKIPPED: LACUNA_TEST_NODE names no folder with @mcap/core");
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let script = script().with_file_name("read_mcap.mjs");
+    for compression in ["zstd", "lz4", "none"] {
+        let path = dir.path().join(format!("{compression}.mcap"));
+        recording(&path, &format!("compression = \"{compression}\"\nchunk_kib = 64\n"));
+        let output = Command::new("node").arg(&script).arg(&modules).arg(&path).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+        check(&found, SAMPLES);
+        assert_eq!(found["profile"], "ros2");
+        assert_eq!(found["schemas"]["/measured"], "sensor_msgs/msg/JointState");
+        assert_eq!(found["schemas"]["/status"], "lacuna_msgs/msg/Status");
+        assert_eq!(found["attachments"], serde_json::json!({"robot.toml": 14, "graph.toml": 0}));
+        assert_eq!(found["metadata"]["lacuna.end"]["complete"], "true");
+    }
+}
+
+/// A Python with the Rerun SDK, if one was named.
+fn rerun(args: &[&std::ffi::OsStr]) -> Option<std::process::Output> {
+    let Ok(python) = std::env::var("LACUNA_TEST_PYTHON_LONG") else {
+        eprintln!("SKIPPED: LACUNA_TEST_PYTHON_LONG names no Python with rerun-sdk");
+        return None;
+    };
+    Some(Command::new(python).arg(script().with_file_name("read_rerun.py")).args(args).output().unwrap())
+}
+
+#[test]
+#[ignore = "long: the Rerun SDK is large"]
+fn rerun_shows_every_joint_by_its_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    recording(&path, "");
+    let Some(output) = rerun(&["read".as_ref(), path.as_os_str()]) else { return };
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let lists = [
+        ("/measured/position", 0),
+        ("/measured/effort", 1),
+        ("/smoothed/velocity", 4),
+        ("/torque/rigid/effort", 10),
+        ("/residual/effort", 12),
+    ];
+    for (entity, which) in lists {
+        let series = &found[entity];
+        assert_eq!(series["names"], serde_json::json!([["q1", "q2", "q3"]]), "{entity}");
+        assert_eq!(series["stamp"], serde_json::json!((0..SAMPLES).map(stamp).collect::<Vec<i64>>()), "{entity}");
+        for k in 0..SAMPLES {
+            let expected: Vec<f64> = (0..3).map(|j| number(which, k, j)).collect();
+            assert_eq!(floats(&series["values"][k as usize]), expected, "{entity} {k}");
+        }
+    }
+    // The viewer itself, where there is a graphics driver; software will do.
+    let picture = dir.path().join("a.png");
+    let Some(output) = rerun(&["picture".as_ref(), path.as_os_str(), picture.as_os_str()]) else { return };
+    if output.status.code() == Some(3) {
+        eprintln!("SKIPPED: the Rerun viewer's picture: {}", String::from_utf8_lossy(&output.stderr));
+        return;
+    }
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let said: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(said["views"].as_array().map(Vec::len), Some(3), "{said}");
+    assert_eq!(said["reports"], serde_json::json!([]), "a view complains");
+    let bytes = std::fs::read(&picture).unwrap();
+    assert!(bytes.starts_with(b"\x89PNG") && bytes.len() > 50_000, "{} bytes", bytes.len());
 }
 
 #[test]

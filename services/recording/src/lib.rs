@@ -5,6 +5,7 @@
 //!   judgement ([`condition`]): what cannot be used is an error with its place, what is repaired is counted.
 //! - [`container::Writer`] and [`topics`] write MCAP that ROS 2 tools and viewers open as it is, and that a
 //!   crash cuts at most half a second short; [`recover`] completes what a crash left.
+//! - [`messages::Messages`] hands out an MCAP's messages as they stand in it, decoded by their own definitions.
 //! - [`load_robot`], [`load_model`], [`load_graph`] read the TOML files.
 //!
 //! Nothing here knows the bus.
@@ -14,6 +15,7 @@ pub mod container;
 pub mod ethercat;
 pub mod files;
 pub mod formats;
+pub mod messages;
 mod reader;
 pub mod ros;
 mod sample;
@@ -22,6 +24,9 @@ pub mod topics;
 
 pub use container::{FileInfo, Recovered, inspect, recover};
 pub use files::{LoadedRobot, load_graph, load_model, load_robot};
-pub use reader::{EPOCH_FROM_S, MAX_VALUES, ReadOptions, Reader, TimeSource, open, open_with, read_all, read_all_with};
+pub use reader::{
+    EPOCH_FROM_S, MAX_VALUES, ReadOptions, Reader, TimeSource, file_of, is_mcap, open, open_with, read_all,
+    read_all_with,
+};
 pub use sample::{About, RawReader, Sample};
 pub use survey::{Survey, survey};

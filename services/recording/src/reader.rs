@@ -84,7 +84,10 @@ pub fn open_with(path: impl AsRef<Path>, robot: &RobotFile, options: &ReadOption
 }
 
 /// The file itself, or the only MCAP file of a bag folder.
-fn file_of(path: &Path) -> Result<PathBuf, BadInput> {
+///
+/// # Errors
+/// [`BadInput`] for a folder with none or several.
+pub fn file_of(path: &Path) -> Result<PathBuf, BadInput> {
     if !path.is_dir() {
         return Ok(path.to_path_buf());
     }
@@ -96,6 +99,18 @@ fn file_of(path: &Path) -> Result<PathBuf, BadInput> {
         n => Err(BadInput::new(format!("found a folder with {n} .mcap files; expected a file, or a folder with one"))
             .in_file(path)),
     }
+}
+
+/// True if the recording is an MCAP file, or a bag folder with one.
+///
+/// # Errors
+/// [`BadInput`] if it is absent or of no known format.
+pub fn is_mcap(path: impl AsRef<Path>) -> Result<bool, BadInput> {
+    let path = file_of(path.as_ref())?;
+    let mut first = [0; formats::SNIFF_BYTES];
+    let mut file = File::open(&path).map_err(|e| open_error(&path, &e))?;
+    let len = read_up_to(&mut file, &mut first).map_err(|e| open_error(&path, &e))?;
+    Ok(formats::detect(&path, &first[..len])?.name == "mcap")
 }
 
 fn read_up_to(file: &mut File, buffer: &mut [u8]) -> std::io::Result<usize> {

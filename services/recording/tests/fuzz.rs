@@ -12,6 +12,8 @@ use common::{COMPRESSIONS, csv, motion, robot, write_mcap};
 use lacuna_interfaces::graph::GraphFile;
 use lacuna_interfaces::{BadInput, ModelFile, RobotFile};
 use lacuna_recording::container::WriterOptions;
+use lacuna_recording::messages::Messages;
+use lacuna_recording::ros::definition::Decoded;
 use lacuna_recording::{open, recover};
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -112,6 +114,19 @@ fn play(path: &Path, robot: &RobotFile) -> Result<(), BadInput> {
     Ok(())
 }
 
+/// Reads an MCAP's messages by the definitions in it, to its end or its error.
+fn look(path: &Path) -> Result<(), BadInput> {
+    let mut messages = Messages::open(path)?;
+    let mut decoded = Decoded::default();
+    while let Some(message) = messages.next_message()? {
+        let Some(topic) = messages.topic(message.topic) else { continue };
+        if topic.layout.is_some() {
+            topic.decode(messages.data(), &mut decoded)?;
+        }
+    }
+    Ok(())
+}
+
 /// Memory, not a disk: thousands of small files are written.
 fn folder() -> tempfile::TempDir {
     tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).expect("temporary folder")
@@ -142,14 +157,16 @@ fn fuzz_mcap() {
         bytes
     });
     let options = WriterOptions { overwrite: true, sync: None, ..WriterOptions::default() };
-    let seen = Judge::default();
+    let (seen, looked) = (Judge::default(), Judge::default());
     check!().with_iterations(ITERATIONS).with_type::<Mutation>().for_each(|m| {
         std::fs::write(&path, mutate(&seeds, m)).expect("file");
         seen.judge(|| play(&path, &robot()));
+        looked.judge(|| look(&path));
         if let Err(e) = recover(&path, &to, &options) {
             assert!(!e.to_string().contains('\n'), "{e}");
         }
     });
+    looked.saw_both();
     seen.saw_both();
 }
 

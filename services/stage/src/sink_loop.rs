@@ -1,5 +1,6 @@
 //! The process around a [`Sink`]: a reader of any number of topics, whatever known message they carry.
 
+use crate::any::{AnyMessage, with_messages};
 use crate::bus::{Input, Received, Wake, wait_for_type};
 use crate::clock::monotonic_ns;
 use crate::control::{Event, StageReport};
@@ -8,8 +9,8 @@ use crate::latency::{EdgeMeter, LatencyMeter};
 use crate::process::{Failure, Process, Pulse, main_with};
 use lacuna_interfaces::graph::{GraphFile, Mode};
 use lacuna_interfaces::{
-    BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, ModelFile, PayloadEstimate, ResidualWatch,
-    RobotFile, TorqueModel, Wire,
+    BadInput, FrictionTorque, JointMeasured, JointSmoothed, ModelFile, PayloadEstimate, ResidualWatch, RobotFile,
+    TorqueModel, Wire,
 };
 use serde::de::DeserializeOwned;
 use std::process::ExitCode;
@@ -19,19 +20,6 @@ const BURST: usize = 64;
 
 macro_rules! messages {
     ($($name:ident),*) => {
-        /// A sample of any message the graph knows.
-        #[derive(Debug, Clone, Copy)]
-        pub enum AnyMessage<'a> {
-            $(#[doc = concat!("A [`", stringify!($name), "`].")] $name(&'a $name),)*
-        }
-
-        impl AnyMessage<'_> {
-            /// The common header.
-            pub fn header(&self) -> &Header {
-                match self { $(Self::$name(m) => m.header(),)* }
-            }
-        }
-
         enum AnyInput { $($name(Input<$name>),)* }
 
         impl AnyInput {
@@ -72,7 +60,7 @@ macro_rules! messages {
     };
 }
 
-messages!(JointMeasured, JointSmoothed, TorqueModel, FrictionTorque, PayloadEstimate, ResidualWatch);
+with_messages!(messages);
 
 /// What a sink may know when it is made.
 #[derive(Debug, Clone, Copy)]

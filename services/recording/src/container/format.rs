@@ -203,3 +203,9 @@ impl SchemaRecord {
         Some(Self { id, name, encoding, text: f.bytes(len)?.to_vec() })
     }
 }
+
+/// Name and content of a metadata record.
+pub(crate) fn metadata_of(content: &[u8]) -> Option<(String, BTreeMap<String, String>)> {
+    let mut f = Fields::new(content);
+    Some((f.text()?, f.map()?))
+}

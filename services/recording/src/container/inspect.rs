@@ -1,7 +1,7 @@
 //! What is in an MCAP file, without knowing its messages.
 
-use super::format::{AttachmentFields, ChannelRecord, Fields, SchemaRecord};
-use super::scan::{Item, Scan};
+use super::format::{AttachmentFields, ChannelRecord, Fields, SchemaRecord, metadata_of};
+use super::scan::{Item, Scan, channels_of};
 use lacuna_interfaces::BadInput;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -44,6 +44,37 @@ impl FileInfo {
     }
 }
 
+/// Names of a file's topics, sorted; from its summary if it has one.
+///
+/// # Errors
+/// [`BadInput`] if it is absent or no MCAP file.
+pub fn topics(path: impl AsRef<Path>) -> Result<Vec<String>, BadInput> {
+    let mut names: Vec<String> = channels_of(path.as_ref())?.into_iter().map(|(channel, _)| channel.topic).collect();
+    names.sort_unstable();
+    names.dedup();
+    Ok(names)
+}
+
+/// Files attached before the first message, by name: where a recorder puts what explains the recording.
+///
+/// # Errors
+/// [`BadInput`] if the file is absent, no MCAP file, or damaged there.
+pub fn leading_attachments(path: impl AsRef<Path>) -> Result<BTreeMap<String, Vec<u8>>, BadInput> {
+    let path = path.as_ref();
+    let mut scan = Scan::open(path, true)?;
+    let mut found = BTreeMap::new();
+    while let Some(item) = scan.next_item().map_err(|e| e.in_file(path))? {
+        match item {
+            Item::Attachment(content) => {
+                found.extend(AttachmentFields::parse(content).map(|a| (a.name, a.data.to_vec())));
+            }
+            Item::Message(..) => break,
+            _ => {}
+        }
+    }
+    Ok(found)
+}
+
 /// Reads a file through and says what is in it. Attachments are held in memory.
 ///
 /// # Errors
@@ -79,12 +110,7 @@ pub fn inspect(path: impl AsRef<Path>) -> Result<FileInfo, BadInput> {
             Item::Attachment(content) => {
                 info.attachments.extend(AttachmentFields::parse(content).map(|a| (a.name, a.data.to_vec())));
             }
-            Item::Metadata(content) => {
-                let mut f = Fields::new(content);
-                if let (Some(name), Some(map)) = (f.text(), f.map()) {
-                    info.metadata.insert(name, map);
-                }
-            }
+            Item::Metadata(content) => info.metadata.extend(metadata_of(content)),
         }
     }
     info.was_cut = scan.was_cut();

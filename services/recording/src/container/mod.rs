@@ -17,8 +17,8 @@ mod summary;
 mod writer;
 
 pub use chunk::Compression;
-pub(crate) use format::ChannelRecord;
-pub use inspect::{FileInfo, TopicInfo, inspect};
+pub(crate) use format::{ChannelRecord, SchemaRecord, metadata_of};
+pub use inspect::{FileInfo, TopicInfo, inspect, leading_attachments, topics};
 pub use recover::{Recovered, recover};
 pub(crate) use scan::{Item, Scan, channels_of};
 pub use writer::{Attachment, Channel, ChannelId, Finished, MessageBatch, WhenFull, WriteError, Writer, WriterOptions};

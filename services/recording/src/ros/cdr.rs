@@ -4,6 +4,8 @@
 //! All messages of a channel have the same layout, so writing is copying a [`Template`] and overwriting its
 //! numbers: no allocation, no walk over field names.
 
+use super::definition::{Primitive, Scalar};
+
 const CDR_LE: [u8; 4] = [0, 1, 0, 0];
 const STAMP_AT: usize = 4;
 
@@ -255,6 +257,38 @@ impl<'a> Cursor<'a> {
         let count = inner.u32().unwrap_or(0);
         // Not Vec::with_capacity(count): the count is the sender's word. The walk ends with the bytes.
         (0..count).map_while(|_| inner.string()).map(|s| String::from_utf8_lossy(s).into_owned()).collect()
+    }
+
+    /// A number or string of any type.
+    pub fn scalar(&mut self, primitive: Primitive) -> Option<Scalar> {
+        Some(match primitive {
+            Primitive::Bool => Scalar::Bool(self.u8()? != 0),
+            Primitive::U8 => Scalar::UInt(u64::from(self.u8()?)),
+            Primitive::I8 => Scalar::Int(i64::from(self.u8()? as i8)),
+            Primitive::U16 => Scalar::UInt(u64::from(u16::from_le_bytes(self.bytes()?))),
+            Primitive::I16 => Scalar::Int(i64::from(i16::from_le_bytes(self.bytes()?))),
+            Primitive::U32 => Scalar::UInt(u64::from(u32::from_le_bytes(self.bytes()?))),
+            Primitive::I32 => Scalar::Int(i64::from(i32::from_le_bytes(self.bytes()?))),
+            Primitive::U64 => Scalar::UInt(u64::from_le_bytes(self.bytes()?)),
+            Primitive::I64 => Scalar::Int(i64::from_le_bytes(self.bytes()?)),
+            Primitive::F32 => Scalar::Float(f64::from(f32::from_le_bytes(self.bytes()?))),
+            Primitive::F64 => Scalar::Float(f64::from_le_bytes(self.bytes()?)),
+            Primitive::Text => {
+                let text = self.string()?;
+                let end = self.at - usize::from(self.at > 0 && self.body.get(self.at - 1) == Some(&0));
+                Scalar::Text { start: end.checked_sub(text.len())?, end }
+            }
+        })
+    }
+
+    /// The next `N` bytes, aligned to their number, in little-endian order.
+    fn bytes<const N: usize>(&mut self) -> Option<[u8; N]> {
+        self.align(N);
+        let mut bytes: [u8; N] = self.take(N)?.try_into().ok()?;
+        if !self.little {
+            bytes.reverse();
+        }
+        Some(bytes)
     }
 
     /// `float64[]`.

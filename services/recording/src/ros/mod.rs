@@ -2,5 +2,6 @@
 
 pub mod bag;
 pub mod cdr;
+pub mod definition;
 pub(crate) mod joint_state;
 pub mod schema;

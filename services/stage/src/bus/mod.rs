@@ -8,10 +8,12 @@
 mod input;
 mod link;
 mod output;
+mod tap;
 
 pub use input::{Input, Received};
 pub use link::{LinkReader, LinkWriter, link_topic};
 pub use output::Output;
+pub use tap::{TapInput, tap_type};
 
 use crate::domain::Domain;
 use crate::process::{Failure, Stop};

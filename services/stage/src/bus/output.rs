@@ -1,5 +1,6 @@
 //! The writing end of a topic.
 
+use super::tap::Tap;
 use super::{Envelope, Factory, OPEN_TIMEOUT, STALL_TIMEOUT, open_topic, open_wake};
 use crate::clock::monotonic_ns;
 use crate::domain::Domain;
@@ -34,6 +35,8 @@ pub struct Output<W: Wire> {
     port: Publisher<ipc::Service, Envelope<W>, ()>,
     factory: Factory<W>,
     notifiers: Vec<Notifier<ipc::Service>>,
+    /// For observers; never in a replay.
+    tap: Option<Tap<W>>,
     mode: Mode,
     expected: usize,
     notify_every: u32,
@@ -84,11 +87,17 @@ impl<W: Wire> Output<W> {
                     .map_err(|e| Failure::run(format!("wake-up of node \"{node}\": {e:?}")))
             })
             .collect::<Result<Vec<_>, Failure>>()?;
+        let tap = match graph.mode {
+            Mode::Replay => None,
+            // A graph runs without being looked at.
+            Mode::Live => Tap::open(domain, topic).inspect_err(|e| tracing::warn!("no observers: {e}")).ok(),
+        };
         Ok(Self {
             topic: topic.to_owned(),
             port,
             factory,
             notifiers,
+            tap,
             mode: graph.mode,
             expected: readers.len(),
             // Never more unannounced samples than fit half the buffer: a full buffer then implies a rung bell.
@@ -197,7 +206,8 @@ impl<W: Wire> Output<W> {
         }
         header.hops += 1;
         header.dropped += self.dropped;
-        sample.send().map_err(|e| match e {
+        let watched = self.tap.as_ref().filter(|tap| tap.is_watched()).map(|tap| (tap, sample.payload().0));
+        let delivered = sample.send().map_err(|e| match e {
             _ if self.stop.requested() => Failure::Stopped,
             SendError::UnableToDeliver => Failure::run(format!(
                 "topic \"{}\": a reader took nothing for {} s; it hangs or is stopped",
@@ -205,7 +215,11 @@ impl<W: Wire> Output<W> {
                 STALL_TIMEOUT.as_secs()
             )),
             e => Failure::run(format!("topic \"{}\": cannot send: {e:?}", self.topic)),
-        })
+        })?;
+        if let Some((tap, message)) = watched {
+            tap.show(message);
+        }
+        Ok(delivered)
     }
 
     /// Wakes the readers if there is anything they were not told of. Call it before waiting for input.

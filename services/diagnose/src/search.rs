@@ -321,15 +321,19 @@ impl<'a> Search<'a> {
     }
 
     /// How large `size_nm` per joint of `atoms` is against what counts: noise, and the few per cent to which laws hold of
-    /// what the model explains already. A term that acts in a few rows only is small over all of them and still plain
-    /// where it acts.
+    /// what the model explains already. Friction near reversals acts in a few rows only: it is small over all of
+    /// them and still plain where it acts.
     pub fn over_floor(&self, state: &State, size_nm: &[f64], atoms: &[Atom]) -> f64 {
         let left = self.held_out_rms(state);
         let explained = |j: usize| {
             let base = self.base_rms_nm.get().and_then(|b| b.get(j)).copied().unwrap_or(0.0);
             (base * base - left[j] * left[j]).max(0.0).sqrt()
         };
-        let local = |j: usize| atoms.iter().flat_map(|a| &a.columns).map(|c| locality(&c.part[j])).fold(1.0, f64::max);
+        let near_reversals = |a: &&Atom| matches!(self.families[a.family].id(), "stribeck" | "presliding");
+        let local = |j: usize| {
+            let columns = atoms.iter().filter(near_reversals).flat_map(|a| &a.columns);
+            columns.map(|c| locality(&c.part[j])).fold(1.0, f64::max)
+        };
         let floor = |j: usize| (self.limits.floor_nm[j] / local(j)).max(LAW_ERROR * explained(j));
         (0..size_nm.len()).map(|j| size_nm[j] / floor(j)).fold(0.0, f64::max)
     }

@@ -186,10 +186,11 @@ impl Search<'_> {
             self.refresh(&next_ctx, &mut next, &mut next_state)?;
             // What looked good in passing must be good once all else is fitted beside it.
             let (old, mut new) = (self.held_out_rms(&state), self.held_out_rms(&next_state));
-            // Where it takes the largest share; the largest torque may be what it spills over to a strong joint.
+            // At the joint of its largest torque; or much, where its share is largest: the largest torque may be what it
+            // spills over to a strong joint.
             let shares: Vec<f64> = best.score.size_nm.iter().zip(&old).map(|(s, o)| s / o.max(1e-30)).collect();
-            let aim = largest(&shares);
-            let worse = |rms: &[f64]| rms[aim] > 0.98 * old[aim];
+            let (aim, sharp) = (largest(&best.score.size_nm), largest(&shares));
+            let worse = |rms: &[f64]| rms[aim] > 0.98 * old[aim] && rms[sharp] > 0.9 * old[sharp];
             if !self.families[best.atoms[0].family].event && worse(&new) && self.renew(base, &mut next)? {
                 next_state = self.fit(&mut next)?;
                 new = self.held_out_rms(&next_state);

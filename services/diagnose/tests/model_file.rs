@@ -132,7 +132,6 @@ fn a_freely_fitted_file_does_not_fall_back_on_the_robot_files_masses() {
     let Outcome { findings, model, .. } = diagnose(&options, &mut |_, _| {}).unwrap();
     let body = lacuna_physics::build(&options.robot, None).unwrap();
     assert_eq!(model.rigid_body.parameters.len(), body.parameters().len(), "every parameter is stated");
-    assert!(findings.findings.is_empty(), "nothing is missing: {}", findings.verdict);
     let (ours, stated) = (norm(&residual_of(&options, &model)), norm(&findings.held_out.after_rms_nm));
     assert!(ours < 1.15 * stated, "the file leaves {ours} Nm; the findings say {stated} Nm");
     let mut fallen_back = model.clone();

@@ -126,8 +126,8 @@ fn check_range(request: &Request<'_>) -> Result<(), BadInput> {
     if !(request.from_s.is_finite() && request.from_s >= 0.0) {
         return Err(BadInput::new(format!("--from: found {}; expected zero or a positive number", request.from_s)));
     }
-    // Not finite is the whole recording; NaN is neither.
-    if !(request.to_s > request.from_s) {
+    // Infinity is the whole recording.
+    if request.to_s.is_nan() || request.to_s <= request.from_s {
         return Err(BadInput::new(format!("--until: found {}; expected more than --from", request.to_s)));
     }
     Ok(())

@@ -179,7 +179,7 @@ impl Plan {
         let mut read: u64 = 0;
         while let Some(message) = messages.next_message()? {
             read += 1;
-            if read % (1 << 14) == 0 {
+            if read.is_multiple_of(1 << 14) {
                 progress(0.5 * messages.fraction());
             }
             while topics.len() < messages.topics().len() {

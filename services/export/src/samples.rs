@@ -26,8 +26,10 @@ enum Field {
     Flags,
 }
 
-/// Per joint: name in the notation, unit (`None`: the robot's torque unit), where the value is.
-const QUANTITIES: [(&str, Option<&str>, fn(&JointMeasured) -> &Joints); 5] = [
+/// Name in the notation, unit (`None`: the robot's torque unit), where the joints' values are.
+type Quantity = (&'static str, Option<&'static str>, fn(&JointMeasured) -> &Joints);
+
+const QUANTITIES: [Quantity; 5] = [
     ("q_rad", Some("rad"), |m| &m.q_rad),
     ("tau_nm", None, |m| &m.tau_nm),
     ("temperature_degc", Some("°C"), |m| &m.temperature_degc),
@@ -121,7 +123,7 @@ fn look(reader: &mut Reader, fields: &[Field], progress: &mut dyn FnMut(f64)) ->
     let mut read: u64 = 0;
     loop {
         read += 1;
-        if read % (1 << 14) == 0 {
+        if read.is_multiple_of(1 << 14) {
             progress(0.5 * reader.fraction());
         }
         let Some(sample) = reader.next_sample()? else { break };

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs all tests:  ./tests/run.sh          the tests every change must pass (about ten minutes cold, on two cores)
+# Runs all tests:  ./tests/run.sh          the tests every change must pass (about fifteen minutes cold, on two cores)
 #                  ./tests/run.sh --all    also the long ones
 # Independent readers, viewer and stage (Python: mcap, mcap-ros2-support, rosbags, websockets, iceoryx2, pandas, pyarrow,
 # scipy; JavaScript: @mcap/core; with --all Rerun, and Ray) go into environments of their own under target/; where one

@@ -1,20 +1,13 @@
 //! Forward simulation under the identified model, on recordings of a plant that shares no code with it.
 
+mod common;
+
+use common::{ARM, DELTA};
 use lacuna_identify::{Options, Signal, identify_recordings};
 use lacuna_interfaces::RobotFile;
 use lacuna_simulate::config::{SimulationConfig, TrajectoryGroup};
 use lacuna_simulate::reference::Kinds;
 use lacuna_simulate::simulate;
-
-const DELTA: &str = "kind = \"delta\"\nname = \"test\"\n[geometry]\nl1 = 0.35\nl2 = 0.88\nra = 0.2\nrb = 0.05\n[mass]\n\
-    platform = 1.1\nupper_arm = 1.8\nforearm_point = 0.22\nrotor_inertia = 0.06\n[drive]\ngear_ratio = 33\n\
-    encoder_bits = 20\nsample_rate_hz = 1000\n";
-
-const ARM: &str = "kind = \"serial\"\nname = \"arm\"\njoints = [\"a\", \"b\"]\n[env]\ngravity = [9.81, 0.0, 0.0]\n\
-    [[dh]]\na = 0.3\n[[dh]]\na = 0.25\n\
-    [[link]]\nmass = 2.0\ncom = [-0.1, 0.0, 0.0]\ninertia = [0.01, 0.0, 0.0, 0.02, 0.0, 0.02]\nrotor_inertia = 0.1\n\
-    [[link]]\nmass = 1.5\ncom = [-0.1, 0.0, 0.0]\ninertia = [0.01, 0.0, 0.0, 0.015, 0.0, 0.015]\nrotor_inertia = 0.05\n\
-    [drive]\ngear_ratio = 50\nencoder_bits = 20\nsample_rate_hz = 1000\n";
 
 #[test]
 fn the_identified_model_predicts_what_the_plant_does() {

@@ -1,17 +1,14 @@
 //! Coarse encoders: noise in the accelerations biases what least squares finds of the inertias; instruments do not.
 
+mod common;
+
+use common::ARM;
 use lacuna_identify::split::Span;
 use lacuna_identify::{Instruments, Options, Outcome, identify_recordings};
 use lacuna_interfaces::{Recording, RobotFile};
 use lacuna_simulate::config::{SimulationConfig, TrajectoryGroup};
 use lacuna_simulate::reference::Kinds;
 use lacuna_simulate::simulate;
-
-const ARM: &str = "kind = \"serial\"\nname = \"arm\"\njoints = [\"a\", \"b\"]\n[env]\ngravity = [9.81, 0.0, 0.0]\n\
-    [[dh]]\na = 0.3\n[[dh]]\na = 0.25\n\
-    [[link]]\nmass = 2.0\ncom = [-0.1, 0.0, 0.0]\ninertia = [0.01, 0.0, 0.0, 0.02, 0.0, 0.02]\nrotor_inertia = 0.1\n\
-    [[link]]\nmass = 1.5\ncom = [-0.1, 0.0, 0.0]\ninertia = [0.01, 0.0, 0.0, 0.015, 0.0, 0.015]\nrotor_inertia = 0.05\n\
-    [drive]\ngear_ratio = 50\nencoder_bits = 20\nsample_rate_hz = 1000\n";
 
 fn robot() -> RobotFile {
     RobotFile::parse(ARM).unwrap()

@@ -3,6 +3,7 @@
 
 mod common;
 
+use common::ARM;
 use common::{files, shared, whole};
 use lacuna_identify::payload::{Known, Options as PayloadOptions, PayloadRun, payload};
 use lacuna_identify::{Method, Options, identify};
@@ -71,12 +72,6 @@ fn an_independent_simulators_payload_is_known_within_three_tenths_of_a_second() 
     eprintln!("09113: slowest to settle {worst_pick:.3} s, slowest back to zero {worst_place:.3} s");
     assert!(count == 7 && worst_pick <= 0.3 && worst_place <= 0.3, "{count} {worst_pick} {worst_place}");
 }
-
-const ARM: &str = "kind = \"serial\"\nname = \"arm\"\njoints = [\"a\", \"b\"]\n[env]\ngravity = [9.81, 0.0, 0.0]\n\
-    [[dh]]\na = 0.3\n[[dh]]\na = 0.25\n\
-    [[link]]\nmass = 2.0\ncom = [-0.1, 0.0, 0.0]\ninertia = [0.01, 0.0, 0.0, 0.02, 0.0, 0.02]\nrotor_inertia = 0.1\n\
-    [[link]]\nmass = 1.5\ncom = [-0.1, 0.0, 0.0]\ninertia = [0.01, 0.0, 0.0, 0.015, 0.0, 0.015]\nrotor_inertia = 0.05\n\
-    [drive]\ngear_ratio = 50\nencoder_bits = 20\nsample_rate_hz = 1000\n";
 
 /// Free motions without and a pick-and-place with a payload, of the same robot; the model comes from the former.
 fn carried(text: &str, mass_kg: f64, seed: u64, method: Method) -> (PayloadRun, Vec<Known>) {

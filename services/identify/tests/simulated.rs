@@ -1,5 +1,8 @@
 //! Identification on simulated recordings: what the files say, and what is said about bad ones.
 
+mod common;
+
+use common::{ARM, DELTA};
 use lacuna_identify::split::Span;
 use lacuna_identify::{Delay, Holdout, Method, Options, Outcome, identify, identify_recordings, write};
 use lacuna_interfaces::{BadInput, ModelFile, Recording, RobotFile};
@@ -7,16 +10,6 @@ use lacuna_physics::{Motion, RigidBody, parameters_of};
 use lacuna_simulate::config::{SimulationConfig, TrajectoryGroup};
 use lacuna_simulate::reference::Kinds;
 use lacuna_simulate::{Simulation, simulate};
-
-const DELTA: &str = "kind = \"delta\"\nname = \"test\"\n[geometry]\nl1 = 0.35\nl2 = 0.88\nra = 0.2\nrb = 0.05\n[mass]\n\
-    platform = 1.1\nupper_arm = 1.8\nforearm_point = 0.22\nrotor_inertia = 0.06\n[drive]\ngear_ratio = 33\n\
-    encoder_bits = 20\nsample_rate_hz = 1000\n";
-
-const ARM: &str = "kind = \"serial\"\nname = \"arm\"\njoints = [\"a\", \"b\"]\n[env]\ngravity = [9.81, 0.0, 0.0]\n\
-    [[dh]]\na = 0.3\n[[dh]]\na = 0.25\n\
-    [[link]]\nmass = 2.0\ncom = [-0.1, 0.0, 0.0]\ninertia = [0.01, 0.0, 0.0, 0.02, 0.0, 0.02]\nrotor_inertia = 0.1\n\
-    [[link]]\nmass = 1.5\ncom = [-0.1, 0.0, 0.0]\ninertia = [0.01, 0.0, 0.0, 0.015, 0.0, 0.015]\nrotor_inertia = 0.05\n\
-    [drive]\ngear_ratio = 50\nencoder_bits = 20\nsample_rate_hz = 1000\n";
 
 fn robot(text: &str) -> (RobotFile, Box<dyn RigidBody>) {
     let robot = RobotFile::parse(text).unwrap();

@@ -300,6 +300,18 @@ impl RobotFile {
         self.joints.len()
     }
 
+    /// Number of joints, as many as a message holds.
+    ///
+    /// # Errors
+    /// [`BadInput`] for none, or more than [`MAX_JOINTS`].
+    pub fn message_joints(&self) -> Result<usize, BadInput> {
+        let n = self.joint_count();
+        if (1..=MAX_JOINTS).contains(&n) {
+            return Ok(n);
+        }
+        Err(BadInput::new(format!("robot: found {n} joints; expected 1 to {MAX_JOINTS}")))
+    }
+
     /// Checks that the values fit together.
     ///
     /// # Errors

@@ -183,10 +183,7 @@ impl Stage for Monitor {
 
     fn new(config: Config, context: &StageContext<'_>) -> Result<Self, BadInput> {
         config.validate()?;
-        let count = context.robot.joint_count();
-        if !(1..=MAX_JOINTS).contains(&count) {
-            return Err(BadInput::new(format!("robot: found {count} joints; expected 1 to {MAX_JOINTS}")));
-        }
+        let count = context.robot.message_joints()?;
         let mut sd: &[f64] = &[];
         let mut standstill_rad_s = [config.standstill_rad_s; MAX_JOINTS];
         if let Some(model) = context.model {

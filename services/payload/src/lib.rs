@@ -122,10 +122,7 @@ impl Stage for Payload {
 
     fn new(config: Config, context: &StageContext<'_>) -> Result<Self, BadInput> {
         config.validate()?;
-        let count = context.robot.joint_count();
-        if !(1..=MAX_JOINTS).contains(&count) {
-            return Err(BadInput::new(format!("robot: found {count} joints; expected 1 to {MAX_JOINTS}")));
-        }
+        let count = context.robot.message_joints()?;
         let mut known_sd: &[f64] = &[];
         if let Some(model) = context.model {
             model.check(context.robot)?;

@@ -2,7 +2,7 @@
 
 use lacuna_estimation::kalman::{Lag, MotionModel, Noise, Settings, estimate_noise};
 use lacuna_interfaces::robot::PerJoint;
-use lacuna_interfaces::{BadInput, MAX_JOINTS, ModelFile, RobotFile};
+use lacuna_interfaces::{BadInput, ModelFile, RobotFile};
 use serde::Deserialize;
 use std::f64::consts::{PI, TAU};
 
@@ -106,10 +106,7 @@ pub(crate) struct Known {
 
 impl Known {
     pub fn new(config: Config, robot: &RobotFile, model: Option<&ModelFile>) -> Result<Self, BadInput> {
-        let n = robot.joint_count();
-        if !(1..=MAX_JOINTS).contains(&n) {
-            return Err(BadInput::new(format!("robot: found {n} joints; expected 1 to {MAX_JOINTS}")));
-        }
+        let n = robot.message_joints()?;
         positive("auto_s", config.auto_s)?;
         for (key, value) in [("gap_s", config.gap_s), ("period_s", config.period_s)] {
             value.map_or(Ok(()), |v| positive(key, v))?;

@@ -3,7 +3,7 @@
 //! The sender is a reader of its topic like any other and hands every sample to what carries it. The receiver is a
 //! source: it numbers nothing anew, so that a hole in the numbers is what was lost on the way; it is counted and flagged.
 
-use crate::bus::{Input, LinkReader, LinkWriter, Output, Received, Wake, wait_for_type};
+use crate::bus::{Input, LinkReader, LinkWriter, Output, Received, Wake, end_of_stream, wait_for_type};
 use crate::clock::monotonic_ns;
 use crate::control::{Event, Gauge, StageReport};
 use crate::domain::RunDir;
@@ -202,11 +202,7 @@ fn send<W: Wire, C: Carrier>(
 
 /// Says several times that the stream is over, then gives the carrier the time to carry it.
 fn farewell<W: Wire>(link: &mut LinkWriter<W>, last: Option<Header>) -> Result<(), Failure> {
-    let mut end = W::default();
-    let header = end.header_mut();
-    header.seq = last.map_or(0, |h| h.seq) + 1;
-    header.joints = last.map_or(0, |h| h.joints);
-    header.flags = flag::END_OF_STREAM;
+    let end = end_of_stream::<W>(last.map_or(0, |h| h.seq) + 1, last.map_or(0, |h| h.joints));
     for _ in 0..FAREWELLS {
         link.send(&end)?;
         std::thread::sleep(BETWEEN_FAREWELLS);

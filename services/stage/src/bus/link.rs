@@ -4,16 +4,13 @@
 //! for them and a name of its own, `link/NAME`, which no other edge of a graph has. Its type name holds the layout of the
 //! message: machines whose messages are laid out otherwise are not connected.
 
-use super::{Envelope, Factory, OPEN_TIMEOUT, service_name};
-use crate::clock::monotonic_ns;
+use super::{Envelope, Factory, Room, open_service, service_name, stamp_hop};
 use crate::domain::Domain;
 use crate::process::Failure;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use lacuna_interfaces::Wire;
-use lacuna_interfaces::wire::MAX_HOPS;
-use std::time::{Duration, Instant};
 
 /// Messages that may wait for the tunnel: half a second at 4 kHz.
 const BUFFER: usize = 2048;
@@ -24,29 +21,9 @@ pub fn link_topic(topic: &str) -> String {
 }
 
 fn open<W: Wire>(domain: &Domain, topic: &str) -> Result<Factory<W>, Failure> {
-    let name = service_name(&link_topic(topic))?;
-    let started = Instant::now();
-    loop {
-        let result = domain
-            .node()
-            .service_builder(&name)
-            .publish_subscribe::<Envelope<W>>()
-            .enable_safe_overflow(false)
-            .history_size(0)
-            .subscriber_max_buffer_size(BUFFER)
-            .subscriber_max_borrowed_samples(2)
-            .max_publishers(4)
-            .max_subscribers(4)
-            .max_nodes(8)
-            .open_or_create();
-        match result {
-            Ok(factory) => return Ok(factory),
-            Err(e) if started.elapsed() > OPEN_TIMEOUT => {
-                return Err(Failure::run(format!("link \"{topic}\": cannot be opened on the bus: {e:?}")));
-            }
-            Err(_) => std::thread::sleep(Duration::from_millis(5)),
-        }
-    }
+    let room = Room { overflow: false, buffer: BUFFER, writers: 4, readers: 4, nodes: 8 };
+    open_service(domain, &service_name(&link_topic(topic))?, &room)
+        .map_err(|e| Failure::run(format!("link \"{topic}\": cannot be opened on the bus: {e:?}")))
 }
 
 /// The end that the stream goes into.
@@ -84,13 +61,7 @@ impl<W: Wire> LinkWriter<W> {
     pub fn send(&mut self, message: &W) -> Result<(), Failure> {
         let fail = |e: &dyn std::fmt::Debug| Failure::run(format!("link \"{}\": cannot send: {e:?}", self.topic));
         let mut sample = self.port.loan_uninit().map_err(|e| fail(&e))?.write_payload(Envelope(*message));
-        let header = sample.payload_mut().0.header_mut();
-        let hop = header.hops as usize;
-        if hop < MAX_HOPS {
-            header.hop_ns[hop] = monotonic_ns();
-        }
-        header.hops += 1;
-        header.dropped += self.dropped;
+        stamp_hop(sample.payload_mut().0.header_mut(), self.dropped);
         match sample.send().map_err(|e| fail(&e))? {
             0 => self.dropped += 1,
             _ => self.sent += 1,

@@ -15,14 +15,15 @@ pub use link::{LinkReader, LinkWriter, link_topic};
 pub use output::Output;
 pub use tap::{TapInput, tap_type};
 
+use crate::clock::monotonic_ns;
 use crate::domain::Domain;
 use crate::process::{Failure, Stop};
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::*;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
 use iceoryx2::service::port_factory::{event, publish_subscribe};
-use lacuna_interfaces::Wire;
 use lacuna_interfaces::graph::{GraphFile, Mode};
+use lacuna_interfaces::{Header, Wire, flag};
 use std::any::TypeId;
 use std::collections::HashMap;
 use std::sync::{Mutex, OnceLock};
@@ -88,45 +89,97 @@ pub(crate) fn wait_for_type(topic: &str, stop: &Stop, ended: impl Fn() -> bool) 
     }
 }
 
-/// Retries `open` while the bus is busy creating or removing the service; any other error is final.
-fn open_topic<W: Wire>(domain: &Domain, graph: &GraphFile, topic: &str) -> Result<Factory<W>, Failure> {
-    let name = service_name(topic)?;
-    let readers = graph.readers(topic).count();
-    // A live reader or writer that was killed holds its place until it is cleaned up.
-    let spare = if graph.mode == Mode::Live { 2 } else { 0 };
+/// How long to wait before a service that is just being made or removed is tried again.
+const TRY_AGAIN: Duration = Duration::from_millis(5);
+
+/// Room that a topic has on the bus.
+struct Room {
+    /// Whether a full reader loses its oldest sample; otherwise the writer is told.
+    overflow: bool,
+    /// Samples a reader may be behind.
+    buffer: usize,
+    writers: usize,
+    readers: usize,
+    nodes: usize,
+}
+
+/// Opens or makes a topic, again and again while the bus is busy creating or removing it. Another message under its name
+/// is final.
+fn open_service<W: Wire>(
+    domain: &Domain,
+    name: &ServiceName,
+    room: &Room,
+) -> Result<Factory<W>, PublishSubscribeOpenOrCreateError> {
     let started = Instant::now();
     loop {
         let result = domain
             .node()
-            .service_builder(&name)
+            .service_builder(name)
             .publish_subscribe::<Envelope<W>>()
-            .enable_safe_overflow(false)
+            .enable_safe_overflow(room.overflow)
             .history_size(0)
-            .subscriber_max_buffer_size(graph.buffer)
+            .subscriber_max_buffer_size(room.buffer)
             .subscriber_max_borrowed_samples(2)
-            .max_publishers(1 + spare)
-            .max_subscribers((readers + spare).max(1))
-            .max_nodes(readers + 2 + 2 * spare)
+            .max_publishers(room.writers)
+            .max_subscribers(room.readers)
+            .max_nodes(room.nodes)
             .open_or_create();
-        let error = match result {
-            Ok(factory) => return Ok(factory),
-            Err(e) => e,
-        };
-        if let PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
-            PublishSubscribeOpenError::IncompatibleTypes,
-        ) = error
-        {
+        match result {
+            Err(e) if !speaks_otherwise(&e) && started.elapsed() <= OPEN_TIMEOUT => std::thread::sleep(TRY_AGAIN),
+            done => return done,
+        }
+    }
+}
+
+/// Whether the topic is there and carries another message.
+fn speaks_otherwise(error: &PublishSubscribeOpenOrCreateError) -> bool {
+    matches!(
+        error,
+        PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(PublishSubscribeOpenError::IncompatibleTypes)
+    )
+}
+
+/// Opens a topic with room for the readers that `graph` names.
+fn open_topic<W: Wire>(domain: &Domain, graph: &GraphFile, topic: &str) -> Result<Factory<W>, Failure> {
+    let readers = graph.readers(topic).count();
+    // A live reader or writer that was killed holds its place until it is cleaned up.
+    let spare = if graph.mode == Mode::Live { 2 } else { 0 };
+    let room = Room {
+        overflow: false,
+        buffer: graph.buffer,
+        writers: 1 + spare,
+        readers: (readers + spare).max(1),
+        nodes: readers + 2 + 2 * spare,
+    };
+    open_service(domain, &service_name(topic)?, &room).map_err(|error| {
+        if speaks_otherwise(&error) {
             let other = topic_type(topic).unwrap_or_else(|| "another message".to_owned());
-            return Err(Failure::usage(format!(
+            return Failure::usage(format!(
                 "topic \"{topic}\": this stage speaks {}, the topic carries {other}; expected the same message and layout on both sides",
                 W::type_name()
-            )));
+            ));
         }
-        if started.elapsed() > OPEN_TIMEOUT {
-            return Err(Failure::run(format!("topic \"{topic}\": cannot be opened on the bus: {error:?}")));
-        }
-        std::thread::sleep(Duration::from_millis(5));
+        Failure::run(format!("topic \"{topic}\": cannot be opened on the bus: {error:?}"))
+    })
+}
+
+/// Stamps a message that leaves this process: the time of the hop, and what was dropped here so far.
+fn stamp_hop(header: &mut Header, dropped: u64) {
+    if let Some(at) = header.hop_ns.get_mut(header.hops as usize) {
+        *at = monotonic_ns();
     }
+    header.hops += 1;
+    header.dropped += dropped;
+}
+
+/// The sentinel after the last sample.
+pub(crate) fn end_of_stream<W: Wire>(seq: u64, joints: u32) -> W {
+    let mut end = W::default();
+    let header = end.header_mut();
+    header.seq = seq;
+    header.joints = joints;
+    header.flags = flag::END_OF_STREAM;
+    end
 }
 
 fn open_wake(domain: &Domain, node: &str) -> Result<event::PortFactory<ipc::Service>, Failure> {
@@ -146,7 +199,7 @@ fn open_wake(domain: &Domain, node: &str) -> Result<event::PortFactory<ipc::Serv
             Err(e) if started.elapsed() > OPEN_TIMEOUT => {
                 return Err(Failure::run(format!("wake-up of node \"{node}\": cannot be opened on the bus: {e:?}")));
             }
-            Err(_) => std::thread::sleep(Duration::from_millis(5)),
+            Err(_) => std::thread::sleep(TRY_AGAIN),
         }
     }
 }

@@ -1,17 +1,15 @@
 //! The writing end of a topic.
 
 use super::tap::Tap;
-use super::{Envelope, Factory, OPEN_TIMEOUT, STALL_TIMEOUT, open_topic, open_wake};
-use crate::clock::monotonic_ns;
+use super::{Envelope, Factory, OPEN_TIMEOUT, STALL_TIMEOUT, end_of_stream, open_topic, open_wake, stamp_hop};
 use crate::domain::Domain;
 use crate::process::{Failure, Stop};
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::{BackpressureAction, SendError};
 use iceoryx2::prelude::*;
+use lacuna_interfaces::Wire;
 use lacuna_interfaces::graph::{GraphFile, Mode};
-use lacuna_interfaces::wire::MAX_HOPS;
-use lacuna_interfaces::{Wire, flag};
 use std::time::{Duration, Instant};
 
 /// How long a live writer waits for readers before its first sample. All were ready when the stream was let go, so
@@ -199,13 +197,7 @@ impl<W: Wire> Output<W> {
             .loan_uninit()
             .map_err(|e| Failure::run(format!("topic \"{}\": no memory for a sample: {e:?}", self.topic)))?;
         let mut sample = sample.write_payload(Envelope(*message));
-        let header = sample.payload_mut().0.header_mut();
-        let hop = header.hops as usize;
-        if hop < MAX_HOPS {
-            header.hop_ns[hop] = monotonic_ns();
-        }
-        header.hops += 1;
-        header.dropped += self.dropped;
+        stamp_hop(sample.payload_mut().0.header_mut(), self.dropped);
         let watched = self.tap.as_ref().filter(|tap| tap.is_watched()).map(|tap| (tap, sample.payload().0));
         let delivered = sample.send().map_err(|e| match e {
             _ if self.stop.requested() => Failure::Stopped,
@@ -245,10 +237,7 @@ impl<W: Wire> Output<W> {
         if !self.connected {
             self.connect()?;
         }
-        let mut end = W::default();
-        end.header_mut().seq = seq;
-        end.header_mut().joints = joints;
-        end.header_mut().flags = flag::END_OF_STREAM;
+        let end = end_of_stream::<W>(seq, joints);
         let started = Instant::now();
         while self.deliver(&end)? < self.expected && self.readers() > 0 {
             // Live readers with a full buffer: once more. Readers drop the copies by their sequence number.

@@ -4,14 +4,13 @@
 //! sample, and the writer would wait for it at the end. The tap overwrites what an observer does not take, so nobody
 //! ever waits for one, and while there is none it costs a look at a counter.
 
-use super::{Envelope, Factory, OPEN_TIMEOUT, service_name, topic_type};
+use super::{Envelope, Factory, Room, open_service, service_name, topic_type};
 use crate::domain::Domain;
 use crate::process::Failure;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use lacuna_interfaces::{Wire, flag};
-use std::time::{Duration, Instant};
 
 /// Samples an observer may be behind before it misses some.
 const BUFFER: usize = 256;
@@ -30,29 +29,15 @@ pub fn tap_type(topic: &str) -> Option<String> {
 }
 
 fn open<W: Wire>(domain: &Domain, topic: &str) -> Result<Factory<W>, Failure> {
-    let name = service_name(&tap_name(topic))?;
-    let started = Instant::now();
-    loop {
-        let result = domain
-            .node()
-            .service_builder(&name)
-            .publish_subscribe::<Envelope<W>>()
-            .enable_safe_overflow(true)
-            .history_size(0)
-            .subscriber_max_buffer_size(BUFFER)
-            .subscriber_max_borrowed_samples(2)
-            .max_publishers(1 + SPARE)
-            .max_subscribers(OBSERVERS + SPARE)
-            .max_nodes(1 + OBSERVERS + 2 * SPARE)
-            .open_or_create();
-        match result {
-            Ok(factory) => return Ok(factory),
-            Err(e) if started.elapsed() > OPEN_TIMEOUT => {
-                return Err(Failure::run(format!("topic \"{topic}\": its tap cannot be opened on the bus: {e:?}")));
-            }
-            Err(_) => std::thread::sleep(Duration::from_millis(5)),
-        }
-    }
+    let room = Room {
+        overflow: true,
+        buffer: BUFFER,
+        writers: 1 + SPARE,
+        readers: OBSERVERS + SPARE,
+        nodes: 1 + OBSERVERS + 2 * SPARE,
+    };
+    open_service(domain, &service_name(&tap_name(topic))?, &room)
+        .map_err(|e| Failure::run(format!("topic \"{topic}\": its tap cannot be opened on the bus: {e:?}")))
 }
 
 /// The writer's side.

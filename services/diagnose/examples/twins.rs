@@ -1,6 +1,6 @@
 //! Diagnoses simulated robots and holds the findings against what was simulated:
 //! `cargo run --release -p lacuna-diagnose --example twins -- [--serial] [--cases N] [--effects K] [--unknown]
-//! [--clean] [--ids a,b] [--severity LOW,HIGH] [--mass-error SHARE] [--seed S] [--verbose]`.
+//! [--clean] [--ids a,b] [--severity LOW,HIGH] [--mass-error SHARE] [--seed S] [--verbose] [--no-masses]`.
 //!
 //! One line a case; at the end recall per effect, false alarms, wrong names, flagged unknowns.
 
@@ -27,7 +27,8 @@ struct Result1 {
 
 fn main() -> anyhow::Result<()> {
     let mut options = CaseOptions::default();
-    let (mut cases, mut seed, mut clean, mut verbose, mut ids) = (0, 1000u64, false, false, Vec::new());
+    let (mut cases, mut seed, mut clean, mut ids) = (0, 1000u64, false, Vec::new());
+    let mut how = How::default();
     let mut args = std::env::args().skip(1);
     while let Some(a) = args.next() {
         let mut value = || args.next().with_context(|| format!("{a}: found nothing; expected a value"));
@@ -37,7 +38,8 @@ fn main() -> anyhow::Result<()> {
             "--effects" => options.effects = value()?.parse()?,
             "--unknown" => options.unknown = true,
             "--clean" => clean = true,
-            "--verbose" => verbose = true,
+            "--verbose" => how.verbose = true,
+            "--no-masses" => how.no_masses = true,
             "--ids" => ids = value()?.split(',').map(str::to_owned).collect(),
             "--severity" => {
                 let v = value()?;
@@ -66,12 +68,20 @@ fn main() -> anyhow::Result<()> {
         })
         .collect();
     let results: Vec<Option<Result1>> =
-        list.par_iter().enumerate().map(|(k, o)| one(seed + k as u64, o, verbose)).collect();
+        list.par_iter().enumerate().map(|(k, o)| one(seed + k as u64, o, how)).collect();
     summary(results.into_iter().flatten().collect());
     Ok(())
 }
 
-fn one(seed: u64, options: &CaseOptions, verbose: bool) -> Option<Result1> {
+/// What is told, and what the diagnosis is not.
+#[derive(Debug, Clone, Copy, Default)]
+struct How {
+    verbose: bool,
+    /// The robot file gives no masses: the base is fitted freely.
+    no_masses: bool,
+}
+
+fn one(seed: u64, options: &CaseOptions, how: How) -> Option<Result1> {
     let case = match draw_case(seed, options) {
         Ok(c) => c,
         Err(e) => {
@@ -87,8 +97,14 @@ fn one(seed: u64, options: &CaseOptions, verbose: bool) -> Option<Result1> {
         }
     };
     let clock = std::time::Instant::now();
+    let mut given = case.robot.clone();
+    if how.no_masses {
+        for link in &mut given.link {
+            (link.mass, link.inertia, link.rotor_inertia) = (0.0, [0.0; 6], 0.0);
+        }
+    }
     let request = Options {
-        robot: case.robot.clone(),
+        robot: given,
         urdf: None,
         recordings: simulation.recordings.clone(),
         sim: Vec::new(),
@@ -99,7 +115,7 @@ fn one(seed: u64, options: &CaseOptions, verbose: bool) -> Option<Result1> {
         seed: 1,
     };
     let outcome = diagnose(&request, &mut |_, what| {
-        if verbose {
+        if how.verbose {
             eprintln!("{seed} {what}");
         }
     });

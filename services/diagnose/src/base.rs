@@ -89,7 +89,7 @@ impl Base {
             let BaseRole::Parameter(name) = &own.role else { continue };
             let at = symbols.iter().position(|s| s.symbol == *name);
             let column = at.and_then(|i| dynamic.get_mut(i)?.take());
-            let column = column.unwrap_or_else(|| Column { part: vec![Vec::new(); scene.joints] });
+            let column = column.unwrap_or_else(|| Column::new(vec![Vec::new(); scene.joints]));
             base.columns.push(BaseColumn { role: own.role.clone(), raw: Raw::new(), column, precision: own.precision });
         }
         base
@@ -250,7 +250,7 @@ fn difference(a: &Raw, b: &Raw) -> Raw {
 /// Regressor columns of all dynamic parameters at the rows.
 fn parameter_columns(scene: &Scene) -> Vec<Column> {
     let (n, p) = (scene.joints, scene.body.parameters().len());
-    let mut out: Vec<Column> = vec![Column { part: vec![Vec::new(); n] }; p];
+    let mut out: Vec<Column> = vec![Column::new(vec![Vec::new(); n]); p];
     for c in 0..p {
         let raw = scene.structure_raw(|piece, k, values| {
             let mut y = vec![0.0; n * p];

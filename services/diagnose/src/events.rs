@@ -35,7 +35,7 @@ pub(crate) fn held_at(atom: &Atom, amplitude: Vec<f64>) -> Atom {
         for signal in out.raws[i].iter_mut().flatten() {
             signal.iter_mut().for_each(|v| *v *= a);
         }
-        for part in &mut out.columns[i].part {
+        for part in out.columns[i].rows_mut() {
             part.iter_mut().for_each(|v| *v *= a);
         }
     }
@@ -49,7 +49,7 @@ impl Search<'_> {
     pub fn carries(&self, ctx: &Context<'_>, model: &Model, state: &State) -> Option<Ranked> {
         let family = self.families.iter().position(|f| f.event && f.id() == "payload")?;
         let taken = model.atoms.iter().any(|a| a.family == family) || self.limits.banned.contains(&family);
-        if taken || !ctx.nominal_base {
+        if taken || ctx.measured_load {
             return None;
         }
         let whole = self.atom(ctx, family, 0, &[]);
@@ -230,7 +230,7 @@ impl Search<'_> {
     /// The contact that explains most, if any explains its surroundings.
     pub fn contact(&self, ctx: &Context<'_>, model: &Model, state: &State) -> Option<Ranked> {
         let family = self.families.iter().position(|f| f.event && f.id() == "collision")?;
-        if !ctx.nominal_base {
+        if ctx.measured_load {
             return None;
         }
         let residual = self.residual(model, state);

@@ -71,7 +71,7 @@ type Line = (&'static str, &'static [&'static str], &'static str, Shapes);
 
 /// Effects that the search takes as columns; payload in carries and collisions are found by their events.
 pub fn all() -> Vec<Family> {
-    let list: [Line; 33] = [
+    let list: [Line; 34] = [
         ("coulomb_asym", &["a_c"], "masses whole", none),
         ("stribeck", &["f_sc"], "whole", stribeck),
         ("viscous_power", &["a"], "whole", power),
@@ -88,6 +88,7 @@ pub fn all() -> Vec<Family> {
         ("arm_inertia", &["I", "m_1"], "masses whole", none),
         ("axis_coupling", &["J", "f_v", "f_c"], "", coupling),
         ("forearm_rod", &["ds_1", "ds_2"], "masses", none),
+        ("forearm_rod", &["dm"], "masses", none),
         ("kt_scale", &["g"], "masses dynamic", none),
         ("base_tilt", &["tilt_1", "tilt_2"], "masses", none),
         ("encoder_offset", &["q_0"], "masses", none),
@@ -96,15 +97,15 @@ pub fn all() -> Vec<Family> {
         ("payload", &["m"], "masses", none),
         ("torque_delay", &[], "dynamic", delay),
         ("torque_saturation", &["a"], "dynamic whole", saturation),
-        ("gravity_spring", &["a_s", "a_c"], "masses whole", none),
-        ("cable_spring", &["k_1", "k_3"], "masses whole", cable),
+        ("gravity_spring", &["a_s", "a_c"], "whole", none),
+        ("cable_spring", &["k_1", "k_3"], "whole", cable),
         ("air_drag", &["c"], "", none),
         ("ball_friction", &["mu", "b"], "", turning),
         ("ball_friction", &["b"], "", none),
         ("arm_inertia", &["I", "m_1", "m_2"], "masses whole", none),
-        ("payload", &["m"], "masses event", none),
+        ("payload", &["m"], "event", none),
         ("payload_ecc", &["m_x", "m_y"], "masses event", swung),
-        ("collision", &["F_x", "F_y", "F_z"], "masses event", contact),
+        ("collision", &["F_x", "F_y", "F_z"], "event", contact),
     ];
     list.into_iter()
         .filter_map(|(id, keep, traits, shapes)| {

@@ -1,9 +1,11 @@
 //! Least squares on products: every fold left out costs one small solve.
 //!
 //! Products of columns are kept per block (fold and joint). With weights w_j per joint and a prior precision
-//! per column, β = (Σ w G + P)⁻¹ Σ w g; leaving a fold out subtracts its blocks.
+//! per column, β = (Σ w G + P)⁻¹ Σ w g; leaving a fold out subtracts its blocks. Where the residual is coloured the
+//! products that are solved are those of whitened columns; the plain ones tell what is left in the torque's own unit.
 
 use crate::scene::Column;
+use crate::whiten::Whitening;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use std::ops::Range;
 
@@ -16,6 +18,8 @@ pub struct Layout {
     pub joints: usize,
     /// Rows that count, per fold and joint.
     pub count: Vec<Vec<f64>>,
+    /// Filter that makes the residual white; none: rows are taken as they are.
+    pub whitening: Option<Whitening>,
 }
 
 impl Layout {
@@ -31,9 +35,13 @@ impl Layout {
 
     /// Products of two columns, per block.
     pub fn dots(&self, a: &Column, b: &Column) -> Vec<f64> {
+        self.products(&a.part, &b.part)
+    }
+
+    fn products(&self, a: &[Vec<f64>], b: &[Vec<f64>]) -> Vec<f64> {
         let mut out = vec![0.0; self.blocks()];
         for j in 0..self.joints {
-            let (x, y) = (&a.part[j], &b.part[j]);
+            let (x, y) = (&a[j], &b[j]);
             if x.is_empty() || y.is_empty() {
                 continue;
             }
@@ -62,7 +70,10 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 #[derive(Debug, Clone)]
 pub struct Gram {
     size: usize,
+    /// Of the columns as they are.
     blocks: Vec<DMatrix<f64>>,
+    /// Of the whitened ones; empty if nothing is whitened.
+    white: Vec<DMatrix<f64>>,
 }
 
 /// A fit and what it leaves on rows it was not fitted to.
@@ -74,6 +85,8 @@ pub struct Fit {
     pub fold_beta: Vec<Vec<f64>>,
     /// Sum of squares on the folds left out, per fold and joint.
     pub held_out: Vec<Vec<f64>>,
+    /// The same of the whitened residual: what evidence is counted from.
+    pub held_out_white: Vec<Vec<f64>>,
     /// Sum of squares of the fit to all, per joint.
     pub inside: Vec<f64>,
     /// Log of what the prior costs at the fit [nats].
@@ -87,12 +100,19 @@ impl Fit {
     pub fn held_out_joint(&self, j: usize) -> f64 {
         self.held_out.iter().map(|f| f[j]).sum()
     }
+
+    /// The same of the whitened residual.
+    pub fn held_out_white_joint(&self, j: usize) -> f64 {
+        self.held_out_white.iter().map(|f| f[j]).sum()
+    }
 }
 
 impl Gram {
     /// Products of `target` and `columns`.
     pub fn new(layout: &Layout, target: &Column, columns: &[&Column]) -> Self {
-        let empty = Self { size: 0, blocks: vec![DMatrix::zeros(0, 0); layout.blocks()] };
+        let none = vec![DMatrix::zeros(0, 0); layout.blocks()];
+        let white = if layout.whitening.is_some() { none.clone() } else { Vec::new() };
+        let empty = Self { size: 0, blocks: none, white };
         let mut all = vec![target];
         all.extend_from_slice(columns);
         empty.extended(layout, &[], &all)
@@ -102,33 +122,34 @@ impl Gram {
     #[must_use]
     pub fn extended(&self, layout: &Layout, have: &[&Column], more: &[&Column]) -> Self {
         let size = self.size + more.len();
-        let mut blocks: Vec<DMatrix<f64>> = self
-            .blocks
-            .iter()
-            .map(|b| {
-                let mut m = DMatrix::zeros(size, size);
-                m.view_mut((0, 0), (self.size, self.size)).copy_from(b);
-                m
-            })
-            .collect();
+        let mut out = Self {
+            size,
+            blocks: self.blocks.iter().map(|b| grown(b, size)).collect(),
+            white: self.white.iter().map(|b| grown(b, size)).collect(),
+        };
         for (i, c) in more.iter().enumerate() {
             let col = self.size + i;
             for (k, other) in have.iter().chain(&more[..=i]).enumerate() {
-                for (m, v) in blocks.iter_mut().zip(layout.dots(c, other)) {
-                    m[(col, k)] = v;
-                    m[(k, col)] = v;
+                put(&mut out.blocks, (col, k), layout.dots(c, other));
+                if let Some(w) = &layout.whitening {
+                    put(&mut out.white, (col, k), layout.products(c.white(w), other.white(w)));
                 }
             }
         }
-        Self { size, blocks }
+        out
+    }
+
+    /// The products that are solved.
+    fn solved(&self) -> &[DMatrix<f64>] {
+        if self.white.is_empty() { &self.blocks } else { &self.white }
     }
 
     /// Only the columns `keep` (indices from 0, target not counted).
     #[must_use]
     pub fn subset(&self, keep: &[usize]) -> Self {
         let index: Vec<usize> = std::iter::once(0).chain(keep.iter().map(|k| k + 1)).collect();
-        let blocks = self.blocks.iter().map(|b| b.select_rows(&index).select_columns(&index)).collect();
-        Self { size: index.len(), blocks }
+        let of = |all: &[DMatrix<f64>]| all.iter().map(|b| b.select_rows(&index).select_columns(&index)).collect();
+        Self { size: index.len(), blocks: of(&self.blocks), white: of(&self.white) }
     }
 
     /// With columns (from 0, target not counted) taken off the target at these factors.
@@ -137,8 +158,8 @@ impl Gram {
         if slots.is_empty() {
             return self.clone();
         }
-        let mut blocks = self.blocks.clone();
-        for m in &mut blocks {
+        let mut out = self.clone();
+        for m in out.blocks.iter_mut().chain(&mut out.white) {
             for (slot, factor) in slots {
                 for k in 0..self.size {
                     let v = m[(slot + 1, k)];
@@ -151,13 +172,13 @@ impl Gram {
             }
         }
         let keep: Vec<usize> = (0..self.size - 1).filter(|k| !slots.iter().any(|(s, _)| s == k)).collect();
-        Self { size: self.size, blocks }.subset(&keep)
+        out.subset(&keep)
     }
 
     /// Coefficients from all folds.
     pub fn coefficients(&self, layout: &Layout, weights: &[f64], precision: &[f64]) -> Option<Vec<f64>> {
         let mut total = DMatrix::<f64>::zeros(self.size, self.size);
-        for (i, block) in self.blocks.iter().enumerate() {
+        for (i, block) in self.solved().iter().enumerate() {
             total += block * weights[i % layout.joints];
         }
         solve(&total, precision).map(|(beta, _, _)| beta.as_slice().to_vec())
@@ -171,7 +192,7 @@ impl Gram {
         for f in 0..layout.folds.len() {
             let mut m = DMatrix::<f64>::zeros(self.size, self.size);
             for j in 0..layout.joints {
-                m += &self.blocks[f * layout.joints + j] * weights[j];
+                m += &self.solved()[f * layout.joints + j] * weights[j];
             }
             total += &m;
             per_fold.push(m);
@@ -181,16 +202,36 @@ impl Gram {
             .map(|j| (0..layout.folds.len()).map(|f| rest(&self.blocks[f * layout.joints + j], &beta)).sum())
             .collect();
         let mut held_out = Vec::with_capacity(per_fold.len());
+        let mut held_out_white = Vec::with_capacity(per_fold.len());
         let mut fold_beta = Vec::with_capacity(per_fold.len());
         for (f, own) in per_fold.iter().enumerate() {
             let (b, _, _) = solve(&(&total - own), precision)?;
-            held_out.push((0..layout.joints).map(|j| rest(&self.blocks[f * layout.joints + j], &b)).collect());
+            let left = |blocks: &[DMatrix<f64>]| -> Vec<f64> {
+                (0..layout.joints).map(|j| rest(&blocks[f * layout.joints + j], &b)).collect()
+            };
+            held_out.push(left(&self.blocks));
+            held_out_white.push(left(self.solved()));
             fold_beta.push(b.as_slice().to_vec());
         }
         let inverse = factor.inverse();
         let variance = (0..p).map(|i| inverse[(i, i)] * scale[i] * scale[i]).collect();
         let prior_nats = beta.iter().zip(precision).map(|(b, w)| 0.5 * b * b * w).sum();
-        Some(Fit { beta: beta.as_slice().to_vec(), fold_beta, held_out, inside, prior_nats, variance })
+        Some(Fit { beta: beta.as_slice().to_vec(), fold_beta, held_out, held_out_white, inside, prior_nats, variance })
+    }
+}
+
+/// A matrix with room for more rows and columns.
+fn grown(block: &DMatrix<f64>, size: usize) -> DMatrix<f64> {
+    let mut out = DMatrix::zeros(size, size);
+    out.view_mut((0, 0), block.shape()).copy_from(block);
+    out
+}
+
+/// Writes a product of every block, on both sides of the diagonal.
+fn put(blocks: &mut [DMatrix<f64>], (row, column): (usize, usize), values: Vec<f64>) {
+    for (m, v) in blocks.iter_mut().zip(values) {
+        m[(row, column)] = v;
+        m[(column, row)] = v;
     }
 }
 

@@ -34,6 +34,7 @@ pub mod scene;
 pub mod screen;
 pub mod search;
 pub mod select;
+mod sharpen;
 mod sim;
 pub mod split;
 pub mod swap;
@@ -42,6 +43,7 @@ pub mod tolerance;
 mod transfer;
 mod transmission;
 pub mod unknown;
+pub mod whiten;
 mod words;
 
 use base::Base;
@@ -256,6 +258,7 @@ pub(crate) fn find(
         }
         if selection.blank.is_empty() || last {
             let base_rms_nm = search.base_rms_nm.get().cloned();
+            let selection = sharpen::sharpened(&search, &base, selection, progress).ok_or_else(unusable)?;
             return Ok(Found { base, limits, base_rms_nm, selection });
         }
         seeds = selection

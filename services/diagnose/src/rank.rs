@@ -26,6 +26,8 @@ const MOST_AMPLITUDE: f64 = 1e6;
 const SHAKEN: f64 = 2.0;
 /// See [`NEARLY`].
 const NEARLY_NATS: f64 = 12.0;
+/// Evidence below which it is scarce: it may say that something is there, and hardly what.
+const SCARCE_NATS: f64 = 100.0;
 /// Share of the entry threshold for what is steady, see [`Search::steady`].
 const STEADY: f64 = 0.4;
 /// Share of a joint's residual that must go for an effect to be steady.
@@ -41,7 +43,7 @@ impl Search<'_> {
     pub(crate) fn counts(&self, state: &State, ranked: &Ranked) -> bool {
         let event = ranked.atoms.iter().any(|a| self.families[a.family].event);
         let size = if event {
-            ranked.score.size_nm.iter().zip(&self.limits.floor_nm).map(|(s, f)| s / f).fold(0.0, f64::max)
+            self.event_over_floor(state, &ranked.score.size_nm)
         } else {
             self.over_floor(state, &ranked.score.size_nm, &ranked.atoms)
         };
@@ -139,12 +141,28 @@ impl Search<'_> {
     /// Of the candidates that count, the one with the fewest amplitudes among those that explain nearly as much
     /// as the best: a tilted base is two numbers, not six springs.
     pub(crate) fn simplest(&self, state: &State, ranked: Vec<Ranked>) -> Option<Ranked> {
-        let width = |r: &Ranked| r.atoms.iter().map(|a| a.width().max(1)).sum::<usize>();
-        let ranked: Vec<Ranked> = ranked.into_iter().filter(|r| self.counts(state, r)).collect();
-        let best = ranked.first()?;
+        let best = ranked.iter().find(|r| self.counts(state, r))?.clone();
+        let scarce = self.is_whitened() || best.score.gain < SCARCE_NATS;
+        // Times of pick and place are numbers too, where evidence is too scarce to tell them from a lucky choice.
+        let times = |a: &Atom| if scarce { 2 * a.carries.len() } else { 0 };
+        let width = |r: &Ranked| r.atoms.iter().map(|a| a.width().max(1) + times(a)).sum::<usize>();
         let (enough, amount) = (NEARLY * best.score.gain - NEARLY_NATS, rms_of(&best.score.size_nm));
-        let near = |r: &&Ranked| r.score.gain > enough && rms_of(&r.score.size_nm) > 0.98 * amount;
-        ranked.iter().filter(near).min_by_key(|r| width(r)).or(Some(best)).cloned()
+        let near = |r: &Ranked| r.score.gain > enough && rms_of(&r.score.size_nm) > 0.98 * amount;
+        // An entry threshold says whether there is anything. Where evidence is scarce it must not say which: of near
+        // equals each is judged at the entry of the best.
+        let common = best.score.gain - best.merit;
+        let price = |r: &Ranked| {
+            let numbers: usize = r.atoms.iter().map(|a| a.width() + a.shape.len() + times(a)).sum();
+            self.limits.column * numbers as f64
+        };
+        let counts = |r: &Ranked| match scarce && near(r) {
+            true => self.counts(state, &Ranked { merit: r.merit.max(r.score.gain - common), ..r.clone() }),
+            false => self.counts(state, r),
+        };
+        let merit = |r: &Ranked| if scarce { r.score.gain - price(r) } else { r.merit };
+        let rivals = ranked.into_iter().filter(|r| near(r) && counts(r));
+        let simpler = |a: &Ranked, b: &Ranked| width(a).cmp(&width(b)).then(merit(b).total_cmp(&merit(a)));
+        rivals.min_by(simpler).or(Some(best))
     }
 
     /// Whether a candidate takes most of the residual where it is largest.

@@ -66,7 +66,7 @@ pub fn reduction(proof: &Proof<'_>, region: &Region, left: &Column, joints: &[us
     let blocks = Blocks::of(scene, &masks, proof.seed);
     let only = |residual: &Column| {
         let mut out = residual.clone();
-        for (part, mask) in out.part.iter_mut().zip(&masks) {
+        for (part, mask) in out.rows_mut().iter_mut().zip(&masks) {
             part.iter_mut().zip(mask).filter(|(_, m)| !**m).for_each(|(v, _)| *v = 0.0);
         }
         blocks.squares(&out)

@@ -51,7 +51,7 @@ pub fn in_turn(search: &Search<'_>, ctx: &Context<'_>, target: &Column, columns:
             (j, folds[f].clone(), rest)
         })
         .collect();
-    let mut out = Column { part: vec![vec![0.0; search.scene.rows]; n] };
+    let mut out = Column::new(vec![vec![0.0; search.scene.rows]; n]);
     for (j, rows, rest) in parts {
         out.part[j][rows].copy_from_slice(&rest);
     }
@@ -107,5 +107,5 @@ pub fn on_test(train: &Side<'_>, test: &Side<'_>) -> Column {
             (0..test.search.scene.rows).map(|r| if own[r] { y[rows + r] - p[rows + r] } else { 0.0 }).collect()
         })
         .collect();
-    Column { part }
+    Column::new(part)
 }

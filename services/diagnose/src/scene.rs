@@ -15,12 +15,14 @@ mod cut;
 mod rows;
 
 use crate::split::Split;
+use crate::whiten::Whitening;
 
 use lacuna_estimation::filter::{Stencil, ZeroPhase, differentiate};
 use lacuna_interfaces::{BadInput, Recording, Repair, RobotFile};
 use lacuna_physics::{Motion, RigidBody};
 pub use rows::MIN_FOLDS;
 use std::ops::Range;
+use std::sync::OnceLock;
 
 /// A stretch of one recording on a regular grid.
 #[derive(Debug, Clone)]
@@ -68,6 +70,26 @@ impl Piece {
 pub struct Column {
     /// Rows per joint.
     pub part: Vec<Vec<f64>>,
+    /// The same through a whitening filter, once it was asked for.
+    white: OnceLock<Vec<Vec<f64>>>,
+}
+
+impl Column {
+    /// Of rows per joint.
+    pub fn new(part: Vec<Vec<f64>>) -> Self {
+        Self { part, white: OnceLock::new() }
+    }
+
+    /// Rows through the filter of a search; it is that of one search all the time.
+    pub(crate) fn white(&self, whitening: &Whitening) -> &[Vec<f64>] {
+        self.white.get_or_init(|| whitening.apply(&self.part))
+    }
+
+    /// Rows to be changed.
+    pub(crate) fn rows_mut(&mut self) -> &mut Vec<Vec<f64>> {
+        self.white = OnceLock::new();
+        &mut self.part
+    }
 }
 
 /// Signals at the full rate before the filter: `[piece][joint]`, empty where zero.
@@ -284,7 +306,7 @@ impl Scene {
                 }
             }
         }
-        Column { part }
+        Column::new(part)
     }
 
     /// Column of one joint from a function of piece and sample.

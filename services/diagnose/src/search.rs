@@ -4,13 +4,15 @@
 //! move (nuisance columns with a prior and a hard limit), and a delay below half a sample. A candidate is
 //! judged by the gain in log predictive density on folds left out,
 //! Σ_j ½ n_eff,j ln(RSS_without / RSS_with), where n_eff counts independent samples of the present residual:
-//! while the misfit is large and slow, few samples are independent and evidence is worth less.
+//! while the misfit is large and slow, few samples are independent and evidence is worth less. Where what is left
+//! stays coloured, the same is counted once more on whitened residuals (see [`crate::whiten`]).
 
 use crate::families::{Context, Family};
 use crate::gram::{Fit, Gram, Layout};
 use crate::model::{Atom, BaseRole, Model};
 use crate::scene::{Column, Scene};
 use crate::tolerance::DELAY;
+use crate::whiten::Whitening;
 use rayon::prelude::*;
 use std::sync::{Arc, OnceLock};
 
@@ -24,12 +26,23 @@ pub struct State {
     pub weights: Vec<f64>,
     /// Share of independent rows per joint.
     pub independent: Vec<f64>,
+    /// Both of the whitened residual: what columns are fitted with and evidence is counted from.
+    pub white: Sharpness,
     /// Target less clamped tolerances.
     pub target: Column,
     /// Prior precision per column.
     pub precision: Vec<f64>,
     /// Products with the held tolerances free again; none if none is held.
     pub soft: Option<Soft>,
+}
+
+/// How much a row says.
+#[derive(Debug, Clone, Default)]
+pub struct Sharpness {
+    /// 1/σ² n_eff/n per joint.
+    pub weights: Vec<f64>,
+    /// Share of independent rows per joint.
+    pub independent: Vec<f64>,
 }
 
 /// Products and target with all tolerances free.
@@ -90,6 +103,10 @@ pub struct Limits {
 const CLAMP_ROUNDS: usize = 8;
 /// Share of what is explained that a further effect must add: no law holds to the last per cent.
 const LAW_ERROR: f64 = 0.035;
+/// Share of what is left at a joint that an effect must have if it was found on whitened residuals.
+const LEAST_OF_REST: f64 = 0.2;
+/// The same for what comes and goes at times of its own.
+const LEAST_OF_REST_EVENT: f64 = 0.4;
 /// Least share of independent rows: a large slow misfit may blunt the evidence, but only so far.
 const LEAST_INDEPENDENT: f64 = 0.05;
 /// Share of the prior's limit at which a tolerance is taken to be one standard deviation.
@@ -105,8 +122,20 @@ impl<'a> Search<'a> {
                 (0..scene.joints).map(|j| scene.mask[j][f.clone()].iter().filter(|m| **m).count() as f64).collect()
             })
             .collect();
-        let layout = Layout { folds: scene.folds.clone(), joints: scene.joints, count };
+        let layout = Layout { folds: scene.folds.clone(), joints: scene.joints, count, whitening: None };
         Self { scene, families, layout, target, limits, base_rms_nm: OnceLock::new() }
+    }
+
+    /// The same search with evidence counted on whitened residuals.
+    #[must_use]
+    pub fn whitened(mut self, whitening: Whitening) -> Self {
+        self.layout.whitening = Some(whitening);
+        self
+    }
+
+    /// Whether evidence is counted on whitened residuals.
+    pub(crate) fn is_whitened(&self) -> bool {
+        self.layout.whitening.is_some()
     }
 
     /// Fits a model; tolerances that run out of their limits are held there, friction that would drive is held at 0.
@@ -152,7 +181,7 @@ impl<'a> Search<'a> {
         for _ in 0..=CLAMP_ROUNDS {
             // A delay that is taken away must not come back as a tolerance.
             let precision = self.precision(&rest, &taken);
-            let new = gram.held(&rest.clamped).fit(&self.layout, &state.weights, &precision)?;
+            let new = gram.held(&rest.clamped).fit(&self.layout, &state.white.weights, &precision)?;
             let again = rest.clamp(&new.beta);
             fit = Some(Fit { prior_nats: new.prior_nats + self.held_nats(&rest), ..new });
             if !again {
@@ -207,25 +236,34 @@ impl<'a> Search<'a> {
         let gram = all.held(&model.clamped);
         let precision = self.precision(model, &[]);
         let n = self.scene.joints;
-        let mut weights: Vec<f64> = (0..n)
-            .map(|j| {
-                let sum: f64 = target.part[j].iter().map(|v| v * v).sum();
-                self.layout.joint_count(j) / sum.max(1e-30)
-            })
-            .collect();
-        let mut independent = vec![0.3; n];
-        let mut fit = gram.fit(&self.layout, &weights, &precision)?;
+        let whitening = self.layout.whitening.as_ref();
+        let starting = |part: &[Vec<f64>], j: usize| {
+            let sum: f64 = part[j].iter().map(|v| v * v).sum();
+            self.layout.joint_count(j) / sum.max(1e-30)
+        };
+        let first = whitening.map_or(target.part.as_slice(), |w| target.white(w));
+        let mut white = Sharpness { weights: (0..n).map(|j| starting(first, j)).collect(), independent: vec![0.3; n] };
+        let mut plain = white.clone();
+        let mut fit = gram.fit(&self.layout, &white.weights, &precision)?;
         for _ in 0..2 {
             let residual = residual(&target, &columns, &fit.beta);
-            for j in 0..n {
-                let count = self.layout.joint_count(j).max(1.0);
-                independent[j] = self.independent_share(&residual.part[j], j);
-                weights[j] = independent[j] * count / fit.held_out_joint(j).max(1e-30);
-            }
-            fit = gram.fit(&self.layout, &weights, &precision)?;
+            plain = self.sharpness(&residual.part, |j| fit.held_out_joint(j));
+            white = match whitening {
+                Some(w) => self.sharpness(residual.white(w), |j| fit.held_out_white_joint(j)),
+                None => plain.clone(),
+            };
+            fit = gram.fit(&self.layout, &white.weights, &precision)?;
         }
         fit.prior_nats += self.held_nats(model);
-        Some(State { gram, fit, weights, independent, target, precision, soft: None })
+        let Sharpness { weights, independent } = plain;
+        Some(State { gram, fit, weights, independent, white, target, precision, soft: None })
+    }
+
+    /// Of a residual with this sum of squares on the folds left out.
+    fn sharpness(&self, residual: &[Vec<f64>], held_out: impl Fn(usize) -> f64) -> Sharpness {
+        let independent: Vec<f64> = residual.iter().enumerate().map(|(j, r)| self.independent_share(r, j)).collect();
+        let weight = |(j, share): (usize, &f64)| share * self.layout.joint_count(j).max(1.0) / held_out(j).max(1e-30);
+        Sharpness { weights: independent.iter().enumerate().map(weight).collect(), independent }
     }
 
     /// Share of rows that are independent, from the autocorrelation of the residual.
@@ -280,13 +318,13 @@ impl<'a> Search<'a> {
         if state.soft.is_some() {
             for _ in 0..CLAMP_ROUNDS {
                 let held = gram.held(&trial.clamped);
-                let beta = held.coefficients(&self.layout, &state.weights, &precision(&trial))?;
+                let beta = held.coefficients(&self.layout, &state.white.weights, &precision(&trial))?;
                 if !trial.clamp(&beta) {
                     break;
                 }
             }
         }
-        let mut fit = gram.held(&trial.clamped).fit(&self.layout, &state.weights, &precision(&trial))?;
+        let mut fit = gram.held(&trial.clamped).fit(&self.layout, &state.white.weights, &precision(&trial))?;
         fit.prior_nats += self.held_nats(&trial);
         let amplitude = fit.beta[fit.beta.len() - own..].to_vec();
         Some(self.compare(state, &state.fit, &fit, amplitude))
@@ -299,8 +337,9 @@ impl<'a> Search<'a> {
         let mut size_nm = vec![0.0; n];
         for j in 0..n {
             let count = self.layout.joint_count(j);
+            let (a, b) = (old.held_out_white_joint(j).max(1e-30), new.held_out_white_joint(j).max(1e-30));
+            gain += 0.5 * count * state.white.independent[j] * (a / b).ln();
             let (a, b) = (old.held_out_joint(j).max(1e-30), new.held_out_joint(j).max(1e-30));
-            gain += 0.5 * count * state.independent[j] * (a / b).ln();
             size_nm[j] = ((a - b) / count.max(1.0)).max(0.0).sqrt();
         }
         gain += old.prior_nats - new.prior_nats;
@@ -308,12 +347,12 @@ impl<'a> Search<'a> {
         let most = (0..n).map(|j| state.weights[j] * size_nm[j].powi(2)).fold(0.0, f64::max);
         let sum = |fold: &[f64]| -> f64 {
             let acts = |j: &usize| state.weights[*j] * size_nm[*j].powi(2) >= 0.1 * most;
-            (0..n).filter(acts).map(|j| state.weights[j] * fold[j]).sum()
+            (0..n).filter(acts).map(|j| state.white.weights[j] * fold[j]).sum()
         };
         let by_fold: Vec<f64> = old
-            .held_out
+            .held_out_white
             .iter()
-            .zip(&new.held_out)
+            .zip(&new.held_out_white)
             .map(|(a, b)| 1.0 - (sum(b) / sum(a).max(1e-300)).max(0.0).sqrt())
             .collect();
         let folds = by_fold.iter().filter(|s| **s > 0.0).count() as f64 / by_fold.len().max(1) as f64;
@@ -334,8 +373,17 @@ impl<'a> Search<'a> {
             let columns = atoms.iter().filter(near_reversals).flat_map(|a| &a.columns);
             columns.map(|c| locality(&c.part[j])).fold(1.0, f64::max)
         };
-        let floor = |j: usize| (self.limits.floor_nm[j] / local(j)).max(LAW_ERROR * explained(j));
+        // Whitened, the least is evident: what is too small to matter to anybody must not be said.
+        let least = |j: usize| if self.is_whitened() { LEAST_OF_REST * left[j] } else { self.limits.floor_nm[j] };
+        let floor = |j: usize| (self.limits.floor_nm[j].max(least(j)) / local(j)).max(LAW_ERROR * explained(j));
         (0..size_nm.len()).map(|j| size_nm[j] / floor(j)).fold(0.0, f64::max)
+    }
+
+    /// How large `size_nm` per joint of something that comes and goes is against what counts.
+    pub fn event_over_floor(&self, state: &State, size_nm: &[f64]) -> f64 {
+        let left = self.held_out_rms(state);
+        let least = |j: usize| if self.is_whitened() { LEAST_OF_REST_EVENT * left[j] } else { 0.0 };
+        (0..size_nm.len()).map(|j| size_nm[j] / self.limits.floor_nm[j].max(least(j))).fold(0.0, f64::max)
     }
 
     /// Residual of the fitted model at the rows.
@@ -388,7 +436,7 @@ fn locality(column: &[f64]) -> f64 {
 
 /// `a` −= factor · `b`.
 pub fn subtract(a: &mut Column, b: &Column, factor: f64) {
-    for (x, y) in a.part.iter_mut().zip(&b.part) {
+    for (x, y) in a.rows_mut().iter_mut().zip(&b.part) {
         if y.is_empty() {
             continue;
         }

@@ -119,13 +119,26 @@ impl Search<'_> {
 
     /// The whole search.
     pub fn select(&self, base: &Base, seeds: &[Seed], progress: &mut dyn FnMut(f64, &str)) -> Option<Selection> {
-        let mut model = Model::new(&base.columns);
+        let model = Model::new(&base.columns);
+        self.select_from(base, model, seeds, progress)
+    }
+
+    /// The search from `model` on.
+    pub(crate) fn select_from(
+        &self,
+        base: &Base,
+        mut model: Model,
+        seeds: &[Seed],
+        progress: &mut dyn FnMut(f64, &str),
+    ) -> Option<Selection> {
         let mut state = self.fit(&mut model)?;
         // A second run, with stretches left out, has a base of its own.
         let _ = self.base_rms_nm.set(self.held_out_rms(&state));
         self.tell(&model, &state, progress);
         let start = context(self.scene, base, self, &model, Some(&state));
         self.plant(&start, base, seeds, &mut model, &mut state)?;
+        // Contacts and swings were looked for before, on the residual as it is.
+        let events = !self.is_whitened();
         if !seeds.is_empty() {
             self.tell(&model, &state, progress);
         }
@@ -162,8 +175,10 @@ impl Search<'_> {
             }
             let mut top: Vec<Ranked> = top.par_iter().map(|r| self.refined(&ctx, &model, &state, r)).collect();
             top.extend(carries);
-            top.extend(self.swung(&ctx, &model, &state));
-            top.extend(self.contact(&ctx, &model, &state));
+            if events {
+                top.extend(self.swung(&ctx, &model, &state));
+                top.extend(self.contact(&ctx, &model, &state));
+            }
             top.extend(self.ripple(&ctx, &model, &state, &banned));
             top.sort_by(|a, b| b.merit.total_cmp(&a.merit));
             for t in &top {
@@ -219,7 +234,7 @@ impl Search<'_> {
             ctx = context(self.scene, base, self, &model, Some(&state));
             self.tell(&model, &state, progress);
             let blank = self.blanks(&model, seeds);
-            if !blank.is_empty() {
+            if events && !blank.is_empty() {
                 return Some(Selection { model, state, rivals: Vec::new(), blank, fallen: Vec::new(), excluded });
             }
         }

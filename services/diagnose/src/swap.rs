@@ -79,9 +79,13 @@ impl Search<'_> {
                 self.polish(base, &mut trial, &mut trial_state, Polish { rounds: 1, driven: false })?;
                 // Judged beside each other at the same weights: those without either are blunt.
                 if self.better((model, state), (&trial, &trial_state)) > 0.0 {
-                    (*model, *state) = (trial, trial_state);
-                    self.prune(model, state, progress)?;
-                    continue;
+                    // What comes in its place must stay: pruned, it may leave less than there was.
+                    self.prune(&mut trial, &mut trial_state, progress)?;
+                    if self.better((model, state), (&trial, &trial_state)) > 0.0 {
+                        (*model, *state) = (trial, trial_state);
+                        continue;
+                    }
+                    progress(0.8, &format!("  {id} stays: pruned, its rival explains less"));
                 }
             }
             let mut others: Vec<(&'static str, f64)> = Vec::new();

@@ -134,7 +134,7 @@ impl<'a> Transferred<'a> {
 /// A contact does not repeat itself, and how an off-axis payload stands is anew every time.
 fn nothing(mut atom: Atom) -> Atom {
     for column in &mut atom.columns {
-        column.part.iter_mut().for_each(Vec::clear);
+        column.rows_mut().iter_mut().for_each(Vec::clear);
     }
     for raw in &mut atom.raws {
         raw.iter_mut().flatten().for_each(Vec::clear);

@@ -177,7 +177,7 @@ fn story(f: &Finding) -> (String, String) {
         ),
         "forearm_rod" => (
             "The forearms are rods, not points at their ends".to_owned(),
-            format!("distributed mass{}", v(&["ds_1", "ds_2"])),
+            format!("distributed mass{}", v(&["ds_1", "ds_2", "dm"])),
         ),
         "kt_scale" => (
             format!("{who}: the torque constant is not what the drive believes"),

@@ -168,11 +168,12 @@ fn forearm_columns_are_the_distributed_forearm() {
         let delta = robot.body.as_delta().unwrap();
         let m2 = robot.file.mass.as_ref().unwrap().forearm_point;
         let l2 = delta.l2_m();
-        for (xi, turning) in [(0.5, 1.0 / 12.0), (0.57, 0.078), (0.45, 0.1)] {
-            let m_f = 2.0 * m2;
+        for (xi, turning, dm) in [(0.5, 1.0 / 12.0, 0.0), (0.57, 0.078, 0.0), (0.45, 0.1, 0.0), (0.48, 0.09, 0.3 * m2)]
+        {
+            let m_f = 2.0 * m2 + dm;
             let rod = Forearm { mass_kg: m_f, com_fraction: xi, inertia_kg_m2: turning * m_f * l2 * l2 };
             let truth = s.torque(delta, &delta.distributed_forearms(&rod));
-            let p = [("ds_1", m_f * xi - m2), ("ds_2", m_f * (xi * xi + turning) - m2)];
+            let p = [("ds_1", m_f * xi - m2), ("ds_2", m_f * (xi * xi + turning) - m2), ("dm", dm)];
             let e = differ(&tau("forearm_rod", &[], &p, &c, &s), &minus(&truth, &s.drive));
             assert!(e < 1e-9, "ξ = {xi}: {e:.2e}");
         }

@@ -13,15 +13,16 @@ use crate::effects::{Effect, Memory, OwningStage, ParameterSpec, Regime, Robots,
 pub(super) static EFFECT: Effect = Effect {
     id: "forearm_rod",
     title: "Forearms with distributed mass",
-    law: "Δs_1 ∂τ/∂s_1 + Δs_2 ∂τ/∂s_2, with s_1 = m_f ξ and s_2 = m_f ξ² + I_f/l2²",
+    law: "Δs_1 ∂τ/∂s_1 + Δs_2 ∂τ/∂s_2 + Δm ∂τ/∂m_f, with s_1 = m_f ξ and s_2 = m_f ξ² + I_f/l2²",
     words: "The model has half of each forearm's mass at the elbow and half at the platform. A rod couples the two \
-            ends, and its weight divides otherwise: uniform rods have Δs_1 = 0 and Δs_2 = −m2/3. The mass itself is \
-            taken as known.",
+            ends, and its weight divides otherwise: uniform rods have Δs_1 = 0 and Δs_2 = −m2/3. Where the mass itself \
+            is not that of the file, it is fitted as well.",
     reference: "Codourey 1998, Int. J. Robotics Research 17, 1325-1336",
     parameters: &[
         ParameterSpec::amplitude("ds_1", "kg", "change of m_f ξ from m2: where the centre of mass is", ANY, 0.03)
             .or(0.0),
         ParameterSpec::amplitude("ds_2", "kg", "change of m_f ξ² + I_f/l2² from m2", ANY, -0.07).or(0.0),
+        ParameterSpec::amplitude("dm", "kg", "change of m_f, the mass of a forearm", ANY, 0.02).or(0.0),
     ],
     scope: Scope::Structure,
     robots: Robots::Delta,
@@ -37,12 +38,14 @@ pub(super) static EFFECT: Effect = Effect {
         let context = request.context;
         let l1 = context.delta()?.l1_m();
         let mut first = vec![0.0; context.pi.len()];
-        let mut second = first.clone();
+        let (mut second, mut third) = (first.clone(), first.clone());
         first[INERTIA..GC].fill(-2.0 * l1 * l1);
         first[GC..GS].fill(-l1);
         (first[M_GR], first[M_JE]) = (3.0, 1.0);
         second[INERTIA..GC].fill(l1 * l1);
         (second[M_IN], second[M_JE]) = (3.0, -1.0);
-        Ok(along(context, vec![first, second]))
+        third[INERTIA..GC].fill(l1 * l1);
+        third[GC..GS].fill(l1);
+        Ok(along(context, vec![first, second, third]))
     },
 };

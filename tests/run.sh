@@ -34,6 +34,14 @@ if [ -f "$venv/ready" ] && [ ! -f "$venv/ready-pin" ]; then
         echo "note: no Pinocchio; the tests that hold torques against it will be skipped" >&2
     fi
 fi
+# Another solver for the physically consistent fit.
+if [ -f "$venv/ready" ] && [ ! -f "$venv/ready-solver" ]; then
+    if "$venv/bin/pip" install --quiet --disable-pip-version-check scipy clarabel==0.11.1; then
+        touch "$venv/ready-solver"
+    else
+        echo "note: no clarabel; the test that holds the physically consistent fit against it will be skipped" >&2
+    fi
+fi
 # Readers of exported tables, and what the notebook page uses.
 if [ -f "$venv/ready" ] && [ ! -f "$venv/ready-tables" ]; then
     if "$venv/bin/pip" install --quiet --disable-pip-version-check pandas==3.1.1 pyarrow==26.0.1 scipy matplotlib; then

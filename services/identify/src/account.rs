@@ -19,6 +19,7 @@ use crate::sums::Sums;
 use crate::warnings::{self, Findings};
 use lacuna_interfaces::model::{FrictionModel, NoiseModel, RigidBodyModel};
 use lacuna_interfaces::{BadInput, ModelFile, RobotFile};
+use lacuna_report::number::significant;
 use std::collections::BTreeMap;
 
 /// Everything that is known when the numbers are done.
@@ -162,7 +163,7 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
             Why::Uncertain(sd) => {
                 format!("its interval alone would move the torque by {sd:.1} standard deviations of the torque{near}")
             }
-            Why::Negative(v) => format!("fitted, this friction is negative ({v:.3e}){near}"),
+            Why::Negative(v) => format!("fitted, this friction is negative ({}){near}", significant(v, 3)),
         };
         rest.push(NotExcited { symbol: symbol(s.base[u.base].column), reason, ci95: None, in_model: false });
     }
@@ -180,8 +181,10 @@ fn parameters(a: &Account<'_>) -> (Vec<ParameterRow>, Vec<NotExcited>) {
             rest.push(NotExcited {
                 symbol: column.symbol.clone(),
                 reason: format!(
-                    "its interval of {half:.3e} {} includes zero; as fitted it moves {contribution_nm:.3e} {}",
+                    "its interval of ± {} {} includes zero; as fitted it moves the torque by {} {}",
+                    significant(half, 3),
                     column.unit,
+                    significant(contribution_nm, 3),
                     a.robot().torque_unit.symbol()
                 ),
                 ci95: Some(ci95),

@@ -9,11 +9,13 @@
 //! A = XᵀWX and c = XᵀWy are those of the free fit. The problem is convex in π; it is solved by Newton's method along a
 //! decreasing μ (Boyd, Vandenberghe 2004, section 11.3). What the data do not determine settles near P0, the robot
 //! file's link, or where it has none a link of guessed mass. As μ → 0 the determined part converges to the
-//! constrained least-squares fit, within μ times the number of constraint dimensions.
+//! constrained least-squares fit; how far it still is from there, its course along μ shows ([`Consistent::gap`]).
 //!
 //! Clarabel, the solver that one would take, has its semidefinite cone behind a feature that links BLAS and LAPACK from
-//! the system (0.11: `sdp` → `blas`, `lapack`), which neither cargo nor a fresh machine brings along; for 4 × 4 matrices,
-//! eighty variables and one log det per link that is out of proportion. The gap to the optimum is accounted for.
+//! the system (0.11: `sdp` → `blas`, `lapack`), which neither cargo nor a fresh machine brings along; the way out is to
+//! compile OpenBLAS or a Fortran LAPACK, longer than all of this workspace, for 4 × 4 matrices and eighty variables. The gap
+//! to the optimum is accounted for, and a test holds the optimum against Clarabel's own, from Python, where LAPACK comes
+//! with the wheel.
 
 use crate::base::Structure;
 use crate::columns::Term;
@@ -23,8 +25,8 @@ use lacuna_physics::RigidBody;
 use nalgebra::{DMatrix, DVector};
 
 /// μ at the end. In units of the weighted squared residual, whose minimum is about the number of rows: the fit is then
-/// within 0.1 per constraint dimension of the best one, thousands of rows against a few.
-const MU_END: f64 = 0.1;
+/// within a few hundredths per constraint dimension of the best one, thousands of rows against a few.
+const MU_END: f64 = 0.01;
 /// Weight with which a column that the free fit left out is held at its value, in units of its own curvature.
 const HOLD: f64 = 100.0;
 /// Factor by which μ falls from step to step.
@@ -63,7 +65,7 @@ pub struct Consistent {
     pub free: f64,
     /// And of this one.
     pub constrained: f64,
-    /// The best constrained fit's is at most this much lower.
+    /// The best constrained fit's is about this much lower at most, by the course of the fit along μ.
     pub gap: f64,
 }
 
@@ -73,48 +75,55 @@ pub struct Consistent {
 /// [`BadInput`] if the iteration does not settle.
 pub fn fit(body: &dyn RigidBody, structure: &Structure, solution: &Solution) -> Result<Consistent, BadInput> {
     let total = &solution.normal;
-    let coordinates = Coordinates::of(structure);
-    let (mut a, mut c) = (total.xtx(), total.xty());
-    for u in &solution.unexcited {
-        let hold = HOLD * a[(u.base, u.base)];
-        a[(u.base, u.base)] += hold;
-        c[u.base] += hold * solution.beta[u.base];
-    }
-    let problem = Problem { a, c, cones: cones(body, structure, solution), coordinates };
+    let problem = Problem::of(body, structure, solution);
     let mut pi = DVector::zeros(structure.columns.len());
     for cone in &problem.cones {
         cone.start.iter().for_each(|&(v, value)| pi[v] = value);
     }
     let mut z = problem.coordinates.reduce(&pi);
     let beta = z.rows(0, structure.base.len()).into_owned();
-    let mut mu = problem.misfit(&beta).abs().max(1.0);
-    let mut reached = None;
+    // Whole steps down to the end.
+    let steps = (problem.misfit(&beta).abs().max(1.0) / MU_END).log10().ceil();
+    let mut mu = MU_END * 10f64.powf(steps);
+    // μ and the misfit there.
+    let mut path: Vec<(f64, f64)> = Vec::new();
     loop {
         let before = z.clone();
         match problem.newton(mu, &mut z) {
-            Ok(()) => reached = Some(mu),
+            Ok(()) => path.push((mu, problem.misfit(&z.rows(0, structure.base.len()).into_owned()))),
             // A link driven onto the cone's border takes the last digits; what was reached before is a fit all the same.
-            Err(_) if reached.is_some() => {
+            Err(_) if !path.is_empty() => {
                 z = before;
                 break;
             }
             Err(e) => return Err(e),
         }
-        if mu <= MU_END {
+        if mu <= 1.5 * MU_END {
             break;
         }
-        mu = (mu * MU_STEP).max(MU_END);
+        mu *= MU_STEP;
     }
     problem.settle(&mut z)?;
     let dimensions: usize = problem.cones.iter().map(|cone| cone.size).sum();
     let beta = z.rows(0, structure.base.len()).into_owned();
     Ok(Consistent {
         free: total.residual_sum(&solution.beta),
-        gap: 2.0 * reached.unwrap_or(mu) * dimensions as f64,
+        gap: 2.0 * left(&path, dimensions as f64),
         constrained: total.residual_sum(&beta),
         beta,
         values: problem.coordinates.expand(&z).iter().copied().collect(),
     })
+}
+
+/// How far the misfit at the end of the path is above its optimum: by the barrier, μ times the dimensions; by the trace term,
+/// more where the best links are large against P0, and by a power of μ below one where they are without bound. Its falls from
+/// step to step are then a geometric series (Aitken).
+fn left(path: &[(f64, f64)], dimensions: f64) -> f64 {
+    let series = match path {
+        [.., (_, a), (_, b), (_, c)] if a > b && b > c && a - b > b - c => (b - c) * (b - c) / ((a - b) - (b - c)),
+        _ => 0.0,
+    };
+    path.last().map_or(f64::INFINITY, |(mu, _)| series.max(mu * dimensions))
 }
 
 /// π = T z, with z the base parameters β followed by every other parameter: in z the data touch β alone, exactly, and no
@@ -167,6 +176,16 @@ struct Problem {
 }
 
 impl Problem {
+    fn of(body: &dyn RigidBody, structure: &Structure, solution: &Solution) -> Self {
+        let (mut a, mut c) = (solution.normal.xtx(), solution.normal.xty());
+        for u in &solution.unexcited {
+            let hold = HOLD * a[(u.base, u.base)];
+            a[(u.base, u.base)] += hold;
+            c[u.base] += hold * solution.beta[u.base];
+        }
+        Self { a, c, cones: cones(body, structure, solution), coordinates: Coordinates::of(structure) }
+    }
+
     /// ½ βᵀAβ − cᵀβ.
     fn misfit(&self, beta: &DVector<f64>) -> f64 {
         0.5 * beta.dot(&(&self.a * beta)) - self.c.dot(beta)
@@ -406,30 +425,4 @@ fn pseudo_inertia(structure: &Structure, place: &[usize], mass: f64) -> Cone {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_scalar_problem_by_hand() {
-        // ½ a x² − c x with x > 0 and c < 0: the free minimum is negative, the constrained one at the border.
-        let problem = |c: f64| Problem {
-            a: DMatrix::from_element(1, 1, 4.0),
-            c: DVector::from_element(1, c),
-            cones: vec![Cone {
-                size: 1,
-                parts: vec![(0, DMatrix::from_element(1, 1, 1.0))],
-                prior_inverse: DMatrix::from_element(1, 1, 1.0),
-                start: vec![(0, 1.0)],
-            }],
-            coordinates: Coordinates { t: DMatrix::identity(1, 1), others: Vec::new(), base: vec![(0, Vec::new())] },
-        };
-        let mut x = DVector::from_element(1, 1.0);
-        let mu = 1e-3;
-        problem(-2.0).newton(mu, &mut x).unwrap();
-        // 4 x + 2 + μ (1 − 1/x) = 0
-        let root = (-(2.0 + mu) + f64::sqrt((2.0 + mu) * (2.0 + mu) + 16.0 * mu)) / 8.0;
-        assert!((x[0] / root - 1.0).abs() < 1e-4, "{} {root}", x[0]);
-        problem(2.0).newton(1e-9, &mut x).unwrap();
-        assert!((x[0] - 0.5).abs() < 1e-6, "inside, the free minimum c/a");
-    }
-}
+mod tests;

@@ -8,7 +8,7 @@ use crate::sums::Shown;
 use nalgebra::DVector;
 
 /// Most points of a curve.
-const CURVE_POINTS: usize = 4000;
+const CURVE_POINTS: usize = crate::sums::MOST_SHOWN;
 /// Bins of the residual over velocity.
 const BINS: usize = 40;
 /// Rows that a bin needs.

@@ -4,7 +4,6 @@
 //! relative error = √( Σ_j Σ_k (e_jk/s_j)² / Σ_j Σ_k (τ_jk/s_j)² )      s_j: standard deviation of τ_j in training
 //! ```
 
-use crate::rows::Rows;
 use serde::Serialize;
 
 /// Sums over test rows, to be pooled over folds.
@@ -50,31 +49,6 @@ pub enum Which {
 }
 
 impl Tally {
-    /// Adds joint `joint`'s residuals y − model on rows where `test` is true. `scale` is s_j.
-    pub fn add(&mut self, rows: &Rows, joint: usize, model: &[f64], test: &[bool], which: Which, scale: f64) {
-        if self.joints.len() <= joint {
-            self.joints.resize(joint + 1, JointTally::default());
-        }
-        let sum = &mut self.joints[joint];
-        let data = &rows.joints[joint];
-        let mask = match which {
-            Which::Counted => &data.counted,
-            Which::Usable => &data.usable,
-        };
-        for k in 0..rows.len() {
-            if !(test[k] && mask[k]) {
-                continue;
-            }
-            let e = data.y[k] - model[k];
-            sum.rows += 1.0;
-            sum.error += e;
-            sum.error_squared += e * e;
-            sum.torque_squared += data.y[k] * data.y[k];
-            sum.scaled_error_squared += e * e / (scale * scale);
-            sum.scaled_torque_squared += data.y[k] * data.y[k] / (scale * scale);
-        }
-    }
-
     /// Adds sums over `rows` residuals of a joint: Σe, Σe² and Στ². `scale` is s_j.
     pub(crate) fn add_sums(
         &mut self,
@@ -117,48 +91,22 @@ impl Tally {
     }
 }
 
-/// Standard deviation of each joint's torque over usable training rows; 1 where there is none.
-pub fn training_scale(rows: &Rows, train: &[bool]) -> Vec<f64> {
-    rows.joints
-        .iter()
-        .map(|j| {
-            let values: Vec<f64> = (0..rows.len()).filter(|&k| train[k] && j.usable[k]).map(|k| j.y[k]).collect();
-            let sd = lacuna_estimation::stats::standard_deviation(&values);
-            if sd.is_finite() && sd > 0.0 { sd } else { 1.0 }
-        })
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rows::JointRows;
 
     #[test]
     fn pooled_error_by_hand() {
-        let joint = |y: [f64; 3]| JointRows {
-            y: y.to_vec(),
-            counted: vec![true, true, false],
-            usable: vec![true; 3],
-            ..JointRows::default()
-        };
-        let rows = Rows {
-            joints: vec![joint([3.0, 4.0, 100.0]), joint([30.0, 40.0, 0.0])],
-            time_s: vec![0.0, 1.0, 2.0],
-            ..Rows::default()
-        };
+        // Residuals (0, 1) of torques (3, 4) at joint 1, (6, 0) of (30, 40) at joint 2, whose scale is 10.
         let mut tally = Tally::default();
-        tally.add(&rows, 0, &[3.0, 3.0, 0.0], &[true; 3], Which::Counted, 1.0);
-        tally.add(&rows, 1, &[24.0, 40.0, 0.0], &[true; 3], Which::Counted, 10.0);
+        tally.add_sums(0, [2.0, 1.0, 1.0, 25.0], 1.0);
+        tally.add_sums(1, [2.0, 6.0, 36.0, 2500.0], 10.0);
         let score = tally.score().unwrap();
         // e/s = (0, 1), (0.6, 0); τ/s = (3, 4), (3, 4).
         assert!((score.relative_error - (1.36f64 / 50.0).sqrt()).abs() < 1e-15);
         assert!((score.relative_error_per_joint[1] - 6.0 / 50.0).abs() < 1e-15);
         assert_eq!((score.mean_nm[0], score.rows[0]), (0.5, 2));
         assert!((score.std_nm[0] - 0.5).abs() < 1e-15);
-        let mut all = Tally::default();
-        all.add(&rows, 0, &[3.0, 3.0, 0.0], &[true; 3], Which::Usable, 1.0);
-        assert_eq!(all.score().unwrap().rows, [3]);
         assert!(Tally::default().score().is_none());
     }
 }

@@ -13,7 +13,6 @@ use crate::layout::{Chosen, Layout};
 use crate::options::{Method, Options};
 use crate::paper::{self, ErrorTable, PaperModels, PaperResult};
 use crate::paper_tables::PaperTables;
-use crate::rows;
 use crate::split::{Fold, Holdout, Span, TimeRange, folds};
 use crate::stream::Stream;
 use crate::sums::Sums;
@@ -155,8 +154,8 @@ impl Context<'_> {
         let mut all = fit_all(data, self.store, trains, options, finish)?;
         if options.method == Method::Paper {
             for (fitted, train) in all.iter_mut().zip(trains) {
-                let rows = rows::gather(data.stream, |r, _| chosen(data.stream, r, None, fitted.shift_s))?;
-                fitted.paper = Some(paper::fit(data.stream.structure, &rows, &rows.select(train), self.names)?);
+                let cells = data.sums.cells.within(train);
+                fitted.paper = Some(paper::fit(data, &cells, fitted.shift_s, self.names)?);
             }
         }
         Ok(all)
@@ -251,7 +250,7 @@ pub(crate) fn hold_out(context: &Context<'_>, split: &Split) -> Result<Held, Bad
         let fitted = of_fold[f].map_or(&last, |i: usize| &others[i]);
         let test = context.data.sums.cells.within(&fold.test);
         held_by.iter_mut().zip(&test).filter(|(_, t)| **t).for_each(|(h, _)| *h = Some(f));
-        let alone = add_fold(context, fold, &test, fitted, &mut sums)?;
+        let alone = add_fold(context, fold, &test, fitted, &mut sums);
         errors.extend(alone.score().map(|s| s.relative_error));
     }
     let score = sums.model.score().ok_or_else(|| {
@@ -281,20 +280,15 @@ pub(crate) fn nominal_beta(structure: &Structure) -> DVector<f64> {
 }
 
 /// Adds one fold's test rows to the sums; returns those of the model alone.
-fn add_fold(
-    context: &Context<'_>,
-    fold: &Fold,
-    test: &[bool],
-    fitted: &Fitted,
-    sums: &mut Tallies,
-) -> Result<Tally, BadInput> {
+fn add_fold(context: &Context<'_>, fold: &Fold, test: &[bool], fitted: &Fitted, sums: &mut Tallies) -> Tally {
     let Data { stream, sums: data } = context.data;
     let nominal = nominal_beta(stream.structure);
     let train = data.cells.within(&fold.train);
     let mut alone = Tally::default();
     for j in 0..stream.layout.len() {
         let scale = training_scale(context.data, &train, j);
-        let of = |beta: &DVector<f64>, which: Which| residuals(context.data, test, fitted, j, beta, which);
+        let columns = |r: usize| fitted.chosen(stream, r, j);
+        let of = |beta: &DVector<f64>, which: Which| residuals(context.data, test, &columns, j, beta, which);
         let own = of(fitted.beta(), Which::Counted);
         sums.model.add_sums(j, own, scale);
         alone.add_sums(j, own, scale);
@@ -306,18 +300,23 @@ fn add_fold(
             sums.standing.add_sums(j, of(at_rest, Which::Usable), scale);
         }
     }
-    if fitted.paper.is_some() {
-        sums.paper.add(context.data, fold, fitted)?;
-    }
-    Ok(alone)
+    sums.paper.add(context.data, test, fitted);
+    alone
 }
 
-/// Σ1, Σe, Σe² and Στ² over the rows of a joint in `test` cells.
-fn residuals(data: Data<'_>, test: &[bool], fitted: &Fitted, j: usize, beta: &DVector<f64>, which: Which) -> [f64; 4] {
+/// Σ1, Σe, Σe² and Στ² over the rows of a joint in `test` cells; `columns` chooses them by recording.
+pub(crate) fn residuals(
+    data: Data<'_>,
+    test: &[bool],
+    columns: &impl Fn(usize) -> Chosen,
+    j: usize,
+    beta: &DVector<f64>,
+    which: Which,
+) -> [f64; 4] {
     let layout = &data.stream.layout[j];
     let mut out = [0.0; 4];
     each_sum(data, test, j, which, |recording, sum| {
-        let chosen = fitted.chosen(data.stream, recording, j);
+        let chosen = columns(recording);
         let (e, y, one) = (chosen.residual(layout, beta.as_slice()), chosen.y(layout), [(layout.one(), 1.0)]);
         let more =
             [Sums::rows_in(layout, sum), sum.product(&e, &one), sum.product(&e, &e).max(0.0), sum.product(&y, &y)];
@@ -327,7 +326,7 @@ fn residuals(data: Data<'_>, test: &[bool], fitted: &Fitted, j: usize, beta: &DV
 }
 
 /// Calls `take` with the recording and every sum over a joint's rows in `cells`.
-fn each_sum(data: Data<'_>, cells: &[bool], j: usize, which: Which, mut take: impl FnMut(usize, &Moments)) {
+pub(crate) fn each_sum(data: Data<'_>, cells: &[bool], j: usize, which: Which, mut take: impl FnMut(usize, &Moments)) {
     let own = &data.sums.cells;
     for (c, cell) in own.list.iter().enumerate().filter(|(c, _)| cells[*c]) {
         take(cell.recording, &data.sums.fitted[c][j]);

@@ -14,7 +14,7 @@ use crate::options::{Files, Method, Options};
 use crate::outcome::Outcome;
 use crate::split::Span;
 use crate::stream::Stream;
-use crate::sums::Cells;
+use crate::sums::{Cells, Sums};
 use lacuna_interfaces::{BadInput, Recording, RobotFile};
 use lacuna_physics::RigidBody;
 use rayon::prelude::*;
@@ -87,6 +87,7 @@ pub fn identify_recordings(
     check_rows(&cells, &split)?;
     progress(0.3, "filtering");
     let (sums, store) = gather(&stream, cells, &split.train, options)?;
+    check_torques(&stream, &sums)?;
     progress(0.6, "fitting and holding out");
     let names: Vec<String> = recordings.iter().map(|r| r.name.clone()).collect();
     let data = Data { stream: &stream, sums: &sums };
@@ -115,6 +116,26 @@ fn check_rows(cells: &Cells, split: &Split) -> Result<(), BadInput> {
     for (what, spans) in [("train", &split.train), ("test", &split.test)] {
         if !cells.within(spans).contains(&true) {
             return Err(BadInput::new(format!("{what}: found no row in the given range; expected some")));
+        }
+    }
+    Ok(())
+}
+
+/// A joint that moves under a torque that never changes: nothing was recorded there, and a fit would take its zero noise for
+/// certainty.
+fn check_torques(stream: &Stream<'_>, sums: &Sums) -> Result<(), BadInput> {
+    for (j, survey) in sums.survey.iter().enumerate().filter(|(_, s)| s.fitted > 0) {
+        let constant = |r: &Recording| r.tau_nm[j].windows(2).all(|w| w[0] == w[1]);
+        if stream.recordings.iter().all(constant) {
+            let level = stream.recordings.iter().find_map(|r| r.tau_nm[j].first()).copied().unwrap_or(0.0);
+            return Err(BadInput::new(format!(
+                "joint {} ({}): the torque is {level} {} in every sample, though the joint moves at up to {:.3} rad/s; \
+                 expected a measured torque",
+                j + 1,
+                stream.robot.joints[j],
+                stream.robot.torque_unit.symbol(),
+                survey.fastest
+            )));
         }
     }
     Ok(())

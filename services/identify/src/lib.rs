@@ -11,7 +11,7 @@
 //! | [`condition`] | repair, regular sampling, filters, derivatives, masks (shared with the diagnosis) |
 //! | [`columns`], [`base`] | the linear model and its minimal identifiable set |
 //! | `stream`, `layout`, `sums` | filtered rows part by part, what is kept of each, sums over blocks of time |
-//! | [`rows`] | all rows in memory, for what needs them |
+//! | [`rows`] | all rows in memory, as a reference |
 //! | [`fit`] | weighted robust fit with a covariance for correlated residuals |
 //! | [`bristle`], [`delay`] | nuisances: Coulomb friction after a reversal, torque delay |
 //! | [`consistent`] | links that could exist: positive definite pseudo-inertias |

@@ -117,7 +117,7 @@ pub struct Consistency {
     pub free_relative_error: f64,
     /// Weighted residual of the constrained fit over that of the free fit, on the training rows (root of the ratio of squares).
     pub training_residual_ratio: f64,
-    /// Most that this ratio is above the best constrained fit's.
+    /// Most that this ratio is above the best constrained fit's, by the course of the fit.
     pub ratio_gap: f64,
 }
 

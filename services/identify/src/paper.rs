@@ -8,12 +8,17 @@
 //!
 //! Both errors of the paper are kept apart from the method: ρ1 and ρ2 are linear, so no grid is needed, and an
 //! average of fits is no fit (NOTATION.md, erratum 7); the pooled method of [`crate::fit`] does neither. Here the
-//! corrected M_KH is used.
+//! corrected M_KH is used. All of it follows from the sums of `crate::sums`, as the misfit is quadratic: no row is looked
+//! at again.
 
 use crate::base::Structure;
 use crate::columns::Term;
-use crate::fit::predict;
-use crate::rows::Rows;
+use crate::evaluate::Which;
+use crate::fit::draft::{Data, chosen};
+use crate::hold_out::each_sum;
+use crate::layout::{self, Chosen};
+use crate::sums::Sums;
+use lacuna_estimation::least_squares::Moments;
 use lacuna_interfaces::BadInput;
 use nalgebra::{DVector, Matrix2, Vector2};
 use serde::Serialize;
@@ -122,43 +127,64 @@ impl Layout {
     }
 }
 
-/// Estimates ρ1, ρ2 and friction from the rows where `train` is true. `files` names the recordings.
+/// A recording's sums over its usable training rows, per joint, and the choice of columns in them.
+struct Own {
+    sums: Vec<Moments>,
+    chosen: Chosen,
+}
+
+impl Own {
+    fn of(data: Data<'_>, train: &[bool], recording: usize, shift_s: f64) -> Self {
+        let cells: Vec<bool> =
+            data.sums.cells.list.iter().zip(train).map(|(c, train)| *train && c.recording == recording).collect();
+        let sum = |j: usize| {
+            let mut total = Moments::new(data.stream.layout[j].len());
+            each_sum(data, &cells, j, Which::Usable, |_, sum| total.merge(sum));
+            total
+        };
+        // The paper's models have the sign of the velocity, as the stages that run them do.
+        let chosen = chosen(data.stream, recording, None, shift_s);
+        Self { sums: (0..data.stream.layout.len()).map(sum).collect(), chosen }
+    }
+
+    fn rows(&self, data: Data<'_>) -> f64 {
+        data.stream.layout.iter().zip(&self.sums).map(|(l, s)| Sums::rows_in(l, s)).fold(0.0, f64::max)
+    }
+}
+
+/// Estimates ρ1, ρ2 and friction from the cells where `train` is true, with the torque moved by `shift_s`. `files` names
+/// the recordings.
 ///
 /// # Errors
 /// [`BadInput`] if no recording has a training row, or a joint does not move.
-pub fn fit(
-    structure: &Structure,
-    rows: &Rows,
+pub(crate) fn fit(
+    data: Data<'_>,
     train: &[bool],
+    shift_s: f64,
     files: &[String],
 ) -> Result<(PaperModels, PaperResult), BadInput> {
-    let layout = Layout::of(structure);
-    let n = structure.active.len();
-    let parts = [layout.grey_box(0.0, 0.0), layout.grey_box(1.0, 0.0), layout.grey_box(0.0, 1.0)];
-    // Torque of the parts that ρ1 and ρ2 do not touch, then of the two that they scale.
-    let torque: Vec<Vec<Vec<f64>>> =
-        parts.iter().map(|beta| (0..n).map(|j| predict(structure, rows, beta, j)).collect()).collect();
+    let parts = Layout::of(data.stream.structure);
+    let n = data.stream.layout.len();
     let mut trajectories = Vec::new();
-    let mut rows_of = Vec::new();
+    let mut own = Vec::new();
     for (r, file) in files.iter().enumerate() {
-        let own: Vec<usize> = (0..rows.len()).filter(|&k| rows.recording[k] == r && train[k]).collect();
-        if own.len() < 10 {
+        let sums = Own::of(data, train, r, shift_s);
+        if sums.rows(data) < 10.0 {
             continue;
         }
-        let (rho1, rho2) = greedy(&misfit(rows, &torque, &own));
+        let (rho1, rho2) = greedy(&misfit(data, &parts, &sums));
         trajectories.push(Trajectory { file: file.clone(), rho1, rho2, f_v: Vec::new(), f_c: Vec::new() });
-        rows_of.push(own);
+        own.push(sums);
     }
     if trajectories.is_empty() {
         return Err(BadInput::new("found no training recording of at least 10 rows; expected one trajectory or more"));
     }
     let mean = |f: &dyn Fn(&Trajectory) -> f64| trajectories.iter().map(f).sum::<f64>() / trajectories.len() as f64;
     let (rho1, rho2) = (mean(&|t| t.rho1), mean(&|t| t.rho2));
-    let identified = layout.grey_box(rho1, rho2);
-    let model: Vec<Vec<f64>> = (0..n).map(|j| predict(structure, rows, &identified, j)).collect();
-    for (trajectory, own) in trajectories.iter_mut().zip(&rows_of) {
+    let identified = parts.grey_box(rho1, rho2);
+    for (trajectory, sums) in trajectories.iter_mut().zip(&own) {
         for j in 0..n {
-            let [f_v, f_c] = friction(structure, rows, &layout, own, j, &model[j]).ok_or_else(|| {
+            let [f_v, f_c] = friction(data, &parts, sums, j, &identified).ok_or_else(|| {
                 BadInput::new(format!("joint {} does not move enough to tell f_v from f_c; expected motion", j + 1))
                     .in_file(&trajectory.file)
             })?;
@@ -172,23 +198,14 @@ pub fn fit(
     let (f_v, f_c) = (average(&|t| &t.f_v), average(&|t| &t.f_c));
     let mut with_friction = identified.clone();
     for j in 0..n {
-        if let (Some(v), Some(c)) = (layout.viscous[j], layout.coulomb[j]) {
+        if let (Some(v), Some(c)) = (parts.viscous[j], parts.coulomb[j]) {
             with_friction[v] = f_v[j];
             with_friction[c] = f_c[j];
         }
     }
-    let models = PaperModels { nominal: layout.nominal.clone(), identified, with_friction };
-    let result = PaperResult {
-        rho1,
-        rho2,
-        f_v,
-        f_c,
-        trajectories,
-        table1: Vec::new(),
-        table1_moving: Vec::new(),
-        table2: Vec::new(),
-    };
-    Ok((models, result))
+    let models = PaperModels { nominal: parts.nominal.clone(), identified, with_friction };
+    let (table1, table1_moving, table2) = (Vec::new(), Vec::new(), Vec::new());
+    Ok((models, PaperResult { rho1, rho2, f_v, f_c, trajectories, table1, table1_moving, table2 }))
 }
 
 /// Σ (τ − c − ρ1 a − ρ2 b)² over the given rows as a quadratic form: constant, linear, quadratic part.
@@ -207,21 +224,27 @@ impl Quadratic {
     }
 }
 
-fn misfit(rows: &Rows, torque: &[Vec<Vec<f64>>], own: &[usize]) -> Quadratic {
+fn misfit(data: Data<'_>, parts: &Layout, own: &Own) -> Quadratic {
     let mut q = Quadratic { constant: 0.0, linear: [0.0; 2], quadratic: [0.0; 3] };
-    for (j, joint) in rows.joints.iter().enumerate() {
-        for &k in own.iter().filter(|&&k| joint.usable[k]) {
-            let e = joint.y[k] - torque[0][j][k];
-            let (a, b) = (torque[1][j][k] - torque[0][j][k], torque[2][j][k] - torque[0][j][k]);
-            q.constant += e * e;
-            q.linear[0] += e * a;
-            q.linear[1] += e * b;
-            q.quadratic[0] += a * a;
-            q.quadratic[1] += a * b;
-            q.quadratic[2] += b * b;
-        }
+    // What neither ρ touches, then what each scales.
+    let rest = parts.grey_box(0.0, 0.0);
+    let scaled = [parts.grey_box(1.0, 0.0) - &rest, parts.grey_box(0.0, 1.0) - &rest];
+    for (layout, sum) in data.stream.layout.iter().zip(&own.sums) {
+        let e = own.chosen.residual(layout, rest.as_slice());
+        let [a, b] = scaled.each_ref().map(|beta| model(layout, beta));
+        q.constant += sum.product(&e, &e);
+        q.linear[0] += sum.product(&e, &a);
+        q.linear[1] += sum.product(&e, &b);
+        q.quadratic[0] += sum.product(&a, &a);
+        q.quadratic[1] += sum.product(&a, &b);
+        q.quadratic[2] += sum.product(&b, &b);
     }
     q
+}
+
+/// X β of a joint as a mixture of its columns.
+fn model(layout: &layout::Layout, beta: &DVector<f64>) -> Vec<(usize, f64)> {
+    layout.active.iter().enumerate().map(|(slot, &b)| (slot, beta[b])).collect()
 }
 
 /// Best grid point, then finer grids around it (the paper's "greedy approach over a range of values").
@@ -250,26 +273,16 @@ fn greedy(q: &Quadratic) -> (f64, f64) {
     best
 }
 
-/// \[f_v, f_c\] of one joint over the given rows, by the paper's linear regression.
-fn friction(
-    structure: &Structure,
-    rows: &Rows,
-    layout: &Layout,
-    own: &[usize],
-    j: usize,
-    model: &[f64],
-) -> Option<[f64; 2]> {
-    let active = &structure.active[j];
-    let slot = |b: Option<usize>| active.iter().position(|a| Some(*a) == b);
-    let (v, c) = (slot(layout.viscous[j])?, slot(layout.coulomb[j])?);
-    let joint = &rows.joints[j];
-    let mut phi = Matrix2::zeros();
-    let mut rhs = Vector2::zeros();
-    for &k in own.iter().filter(|&&k| joint.usable[k]) {
-        let row = Vector2::new(joint.x[k * active.len() + v], joint.x[k * active.len() + c]);
-        phi += row * row.transpose();
-        rhs += row * (joint.y[k] - model[k]);
-    }
+/// \[f_v, f_c\] of one joint over a recording's rows, by the paper's linear regression.
+fn friction(data: Data<'_>, parts: &Layout, own: &Own, j: usize, identified: &DVector<f64>) -> Option<[f64; 2]> {
+    let layout = &data.stream.layout[j];
+    let slot = |b: Option<usize>| layout.active.iter().position(|a| Some(*a) == b);
+    let (v, c) = (slot(parts.viscous[j])?, slot(parts.coulomb[j])?);
+    let sum = &own.sums[j];
+    let left = own.chosen.residual(layout, identified.as_slice());
+    let products = sum.products();
+    let phi = Matrix2::new(products[(v, v)], products[(v, c)], products[(c, v)], products[(c, c)]);
+    let rhs = Vector2::new(sum.product(&[(v, 1.0)], &left), sum.product(&[(c, 1.0)], &left));
     // Speed and sign nearly proportional, or no motion: the regression has no answer.
     let independent = phi.determinant() / (phi[(0, 0)] * phi[(1, 1)]);
     if independent.is_nan() || independent < 1e-9 {

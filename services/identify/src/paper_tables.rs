@@ -2,12 +2,8 @@
 
 use crate::evaluate::{Tally, Which};
 use crate::fit::draft::{Data, chosen};
-use crate::fit::predict;
-use crate::hold_out::Fitted;
+use crate::hold_out::{Fitted, residuals};
 use crate::paper::ErrorTable;
-use crate::rows::gather;
-use crate::split::Fold;
-use lacuna_interfaces::BadInput;
 
 /// Models of the table.
 const MODELS: [&str; 4] = ["M_KH", "M_Id", "M_Id+F", "pooled"];
@@ -20,25 +16,20 @@ pub(crate) struct PaperTables {
 }
 
 impl PaperTables {
-    /// Adds one fold's test rows.
-    pub(crate) fn add(&mut self, data: Data<'_>, fold: &Fold, fitted: &Fitted) -> Result<(), BadInput> {
-        let Some((p, _)) = &fitted.paper else { return Ok(()) };
-        let stream = data.stream;
-        let shift = fitted.shift_s;
-        // The paper's models have the sign of the velocity, as the stages that run them do.
-        let by_sign = gather(stream, |r, _| chosen(stream, r, None, shift))?;
-        let own = gather(stream, |r, j| chosen(stream, r, fitted.bristle[j], shift))?;
-        let test = by_sign.select(&fold.test);
+    /// Adds one fold's test cells.
+    pub(crate) fn add(&mut self, data: Data<'_>, test: &[bool], fitted: &Fitted) {
+        let Some((p, _)) = &fitted.paper else { return };
         let models = [&p.nominal, &p.identified, &p.with_friction, &fitted.solution.beta];
-        for (i, beta) in models.into_iter().enumerate() {
-            let rows = if i < 3 { &by_sign } else { &own };
-            for j in 0..rows.joints.len() {
-                let predicted = predict(stream.structure, rows, beta, j);
-                self.all[i].add(rows, j, &predicted, &test, Which::Usable, 1.0);
-                self.moving[i].add(rows, j, &predicted, &test, Which::Counted, 1.0);
+        for j in 0..data.stream.layout.len() {
+            for (i, beta) in models.iter().enumerate() {
+                // The paper's models have the sign of the velocity, as the stages that run them do.
+                let bristle = if i < 3 { None } else { fitted.bristle[j] };
+                let columns = |r: usize| chosen(data.stream, r, bristle, fitted.shift_s);
+                let of = |which: Which| residuals(data, test, &columns, j, beta, which);
+                self.all[i].add_sums(j, of(Which::Usable), 1.0);
+                self.moving[i].add_sums(j, of(Which::Counted), 1.0);
             }
         }
-        Ok(())
     }
 
     /// μ and σ per joint of every model, over all and over moving rows.

@@ -1,10 +1,8 @@
-//! Filtered regressor rows of all recordings in memory: for what needs every row (the paper's method) and as a
-//! reference. The pooled fit works on [`crate::sums`] instead.
+//! Filtered regressor rows of all recordings in memory: a reference for what is identified, from `crate::sums` instead.
 
 use crate::base::Structure;
 use crate::condition::{Plan, prepare};
 use crate::layout::Chosen;
-use crate::split::Span;
 use crate::stream::{Class, PartRows, Stream};
 use lacuna_interfaces::{BadInput, Recording, RobotFile};
 use lacuna_physics::RigidBody;
@@ -54,12 +52,6 @@ impl Rows {
     pub fn is_empty(&self) -> bool {
         self.time_s.is_empty()
     }
-
-    /// Rows within any of `spans`.
-    pub fn select(&self, spans: &[Span]) -> Vec<bool> {
-        let holds = |(r, t): (&usize, &f64)| spans.iter().any(|s| s.holds(*r, *t));
-        self.recording.iter().zip(&self.time_s).map(holds).collect()
-    }
 }
 
 /// All rows of recordings, every stretch filtered in one piece; Coulomb friction by the sign of the velocity.
@@ -76,29 +68,24 @@ pub fn rows(
     let mut own = recordings.to_vec();
     let prepared = own.iter_mut().map(|r| prepare(r, robot, plan)).collect::<Result<Vec<_>, _>>()?;
     let stream = Stream::in_parts(body, robot, structure, plan, &own, &prepared, usize::MAX);
-    gather(&stream, |_, _| Chosen::plain())
+    gather(&stream)
 }
 
-/// All rows of a stream, with the columns that `chosen` names by recording and joint.
-///
-/// # Errors
-/// As [`Stream::rows_of`].
-pub(crate) fn gather(stream: &Stream<'_>, chosen: impl Fn(usize, usize) -> Chosen) -> Result<Rows, BadInput> {
+fn gather(stream: &Stream<'_>) -> Result<Rows, BadInput> {
     let mut out = Rows { joints: vec![JointRows::default(); stream.layout.len()], ..Rows::default() };
     stream.pass(
         |_, part| stream.rows_of(part, None),
         |rows| {
-            append(stream, &mut out, &rows, &chosen);
+            append(stream, &mut out, &rows);
             Ok(())
         },
     )?;
     Ok(out)
 }
 
-fn append(stream: &Stream<'_>, out: &mut Rows, rows: &PartRows, chosen: &impl Fn(usize, usize) -> Chosen) {
-    let part = &rows.part;
-    for (j, ((to, from), layout)) in out.joints.iter_mut().zip(&rows.joints).zip(&stream.layout).enumerate() {
-        let chosen = chosen(part.recording, j);
+fn append(stream: &Stream<'_>, out: &mut Rows, rows: &PartRows) {
+    let (part, chosen) = (&rows.part, Chosen::plain());
+    for ((to, from), layout) in out.joints.iter_mut().zip(&rows.joints).zip(&stream.layout) {
         let y = chosen.y(layout);
         for (k, z) in from.z.chunks_exact(layout.len()).enumerate() {
             to.x.extend((0..layout.width()).map(|slot| z[layout.place(slot, chosen.bristle)]));

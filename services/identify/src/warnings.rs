@@ -10,6 +10,7 @@ use crate::forward::Forward;
 use crate::outcome::Consistency;
 use crate::sums::Survey;
 use lacuna_interfaces::RobotFile;
+use lacuna_report::number::significant;
 
 /// Everything that warnings look at.
 pub(crate) struct Findings<'a> {
@@ -142,27 +143,53 @@ fn rank(f: &Findings<'_>, out: &mut Vec<String>) {
     }
     if !merged.is_empty() {
         out.push(format!(
-            "collinear columns: these recordings do not tell {} from the rest (condition number {:.1e} with, {:.1e} without)",
+            "collinear columns: these recordings do not tell {} from the rest (condition number {} with, {} without)",
             merged.join(", "),
-            f.solution.condition_all,
-            f.solution.condition
+            significant(f.solution.condition_all, 2),
+            significant(f.solution.condition, 2)
         ));
+    }
+    for j in 0..f.robot.joint_count() {
+        out.extend(other_way(f, j));
     }
     for u in unexcited {
         if let Why::Negative(v) = u.why {
             out.push(format!(
-                "{} came out negative ({v:.3e} {}), which no friction is; it is set to 0",
+                "{} came out negative ({} {}), which no friction is; it is set to 0",
                 symbol(u.base),
+                significant(v, 3),
                 s.columns[s.base[u.base].column].unit
             ));
         }
     }
     if f.solution.condition > 1e3 {
         out.push(format!(
-            "ill-conditioned: the condition number of the fit is {:.1e}; expected below 1e3 (a richer excitation trajectory helps)",
-            f.solution.condition
+            "ill-conditioned: the condition number of the fit is {}; expected below 1000 (a richer excitation trajectory helps)",
+            significant(f.solution.condition, 2)
         ));
     }
+}
+
+/// Both friction coefficients of a joint negative: the torque drives the motion where friction brakes it.
+fn other_way(f: &Findings<'_>, j: usize) -> Option<String> {
+    let s = f.structure;
+    let negative = |term: Term| {
+        let of = |b: usize| s.columns[s.base[b].column].term == term;
+        f.solution.unexcited.iter().find_map(|u| match u.why {
+            Why::Negative(v) if of(u.base) => Some(v),
+            _ => None,
+        })
+    };
+    let (coulomb, viscous) = (negative(Term::Coulomb(j))?, negative(Term::Viscous(j))?);
+    let unit = f.robot.torque_unit.symbol();
+    Some(format!(
+        "wrong sign? friction of joint {} ({}) drives it, {} {unit} and {} {unit} s/rad: do torque and position count in \
+         opposite directions?",
+        j + 1,
+        f.robot.joints[j],
+        significant(coulomb, 3),
+        significant(viscous, 3)
+    ))
 }
 
 fn saturation(f: &Findings<'_>, out: &mut Vec<String>) {
@@ -197,6 +224,13 @@ fn units(f: &Findings<'_>, out: &mut Vec<String>) {
         };
         out.push(format!(
             "wrong unit? the rigid-body parameters are {factor:.3} times what the robot file says, all alike{hint}"
+        ));
+    } else if let Some((least, most)) = all_off(s, f.solution) {
+        out.push(format!(
+            "wrong unit? every rigid-body parameter is {} to {} times what the robot file says: a current or a motor-side \
+             torque called Nm, or another robot's masses?",
+            significant(least, 3),
+            significant(most, 3)
         ));
     }
     for (j, joint) in f.survey.iter().enumerate() {
@@ -265,6 +299,22 @@ fn common_factor(s: &Structure, solution: &Solution) -> Option<f64> {
     (alike > 0.9).then_some(cross / nominal)
 }
 
+/// A rigid-body parameter this many times the robot file's, or as many times below it, is off.
+const OFF: f64 = 2.0;
+
+/// Least and largest ratio of identified to nominal rigid-body parameters, if all that the data tell from zero are off the
+/// same way: what one wrong factor does to a robot whose masses and rotors are not quite those of its file.
+fn all_off(s: &Structure, solution: &Solution) -> Option<(f64, f64)> {
+    let rigid = solution.excited.iter().filter(|&&b| {
+        let column = &s.columns[s.base[b].column];
+        let told = solution.beta[b].abs() > solution.half_width(b);
+        matches!(column.term, Term::Rigid(_)) && s.base[b].nominal != 0.0 && told
+    });
+    let ratios: Vec<f64> = rigid.map(|&b| solution.beta[b] / s.base[b].nominal).collect();
+    let (least, most) = ratios.iter().fold((f64::INFINITY, 0.0f64), |(l, m), r| (l.min(*r), m.max(*r)));
+    (ratios.len() > 1 && least > 0.0 && (least > OFF || most < 1.0 / OFF)).then_some((least, most))
+}
+
 /// Error with standing joints beyond that of moving ones from which on it is worth a word.
 const TRAP: f64 = 0.01;
 
@@ -300,11 +350,11 @@ fn timing(f: &Findings<'_>, out: &mut Vec<String>) {
 fn encoder(f: &Findings<'_>, out: &mut Vec<String>) {
     let Some(i) = f.instruments.filter(|i| i.statistic.abs() > i.threshold) else { return };
     out.push(format!(
-        "encoder noise in the accelerations biases least squares: {} = {:.4e}, by instruments {:.4e} ({:.1} standard errors \
+        "encoder noise in the accelerations biases least squares: {} = {}, by instruments {} ({:.1} standard errors \
          apart, {:.1} by chance at most); the model has the {}",
         i.symbol,
-        i.least_squares,
-        i.instruments,
+        significant(i.least_squares, 4),
+        significant(i.instruments, 4),
         i.statistic.abs(),
         i.threshold,
         if i.used { "instruments'" } else { "least-squares values" }

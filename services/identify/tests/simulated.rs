@@ -286,6 +286,45 @@ fn bad_recordings_are_named_with_the_number_that_shows_it() {
     assert!(e.unwrap_err().to_string().contains("delay"));
 }
 
+#[test]
+fn a_signal_that_is_no_torque_of_this_robot_is_named() {
+    let (robot, body) = robot(DELTA);
+    // Rotors are heavier than in the robot file, as they often are: no one factor explains another unit then.
+    let real = RobotFile::parse(&DELTA.replace("rotor_inertia = 0.06", "rotor_inertia = 0.4")).unwrap();
+    let good = motions(&real, 9, 2).recordings;
+    let times = |factor: f64| {
+        let mut list = good.clone();
+        list.iter_mut().flat_map(|r| &mut r.tau_nm).flatten().for_each(|v| *v *= factor);
+        list
+    };
+    let fit = |list: Vec<Recording>| run(&Options::default(), &robot, body.as_ref(), list);
+    let outcome = fit(good.clone()).unwrap();
+    assert!(!said(&outcome, "wrong unit") && !said(&outcome, "wrong sign"), "{:?}", outcome.identification.warnings);
+    let begin = "wrong unit? every rigid-body parameter is ";
+    for factor in [0.08, 1000.0] {
+        let warnings = fit(times(factor)).unwrap().identification.warnings;
+        let of = warnings.iter().find_map(|w| w.strip_prefix(begin));
+        let least: f64 = of.and_then(|w| w.split(' ').next()).and_then(|n| n.parse().ok()).unwrap_or_default();
+        // Platform and forearms are as in the file.
+        assert!((least / factor - 1.0).abs() < 0.02, "{factor}: {warnings:?}");
+    }
+    let outcome = fit(times(-1.0)).unwrap();
+    for joint in 1..=3 {
+        assert!(
+            said(&outcome, &format!("wrong sign? friction of joint {joint}")),
+            "{:?}",
+            outcome.identification.warnings
+        );
+    }
+    // A torque that never changes is none: no fit is made of it.
+    for level in [0.0, 3.0] {
+        let mut dead = good.clone();
+        dead.iter_mut().for_each(|r| r.tau_nm[1].fill(level));
+        let e = fit(dead).unwrap_err().to_string();
+        assert!(e.contains(&format!("joint 2 (q2): the torque is {level} Nm in every sample")), "{e}");
+    }
+}
+
 /// Torque and position of a motion in closed form, with noise that no fit can follow.
 fn closed_form(robot: &RobotFile, body: &dyn RigidBody, name: &str, q: impl Fn(f64, usize) -> [f64; 3]) -> Recording {
     let n = robot.joint_count();

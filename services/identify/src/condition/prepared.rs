@@ -79,7 +79,7 @@ fn run(recording: &mut Recording, robot: &RobotFile, plan: &Plan) -> Result<Prep
     if stretches.is_empty() {
         return Err(BadInput::new(format!(
             "found no stretch without gaps longer than the filter's start (longest recording time {:.3} s); expected at \
-             least {shortest_s:.3} s at a band of {} Hz",
+             least {shortest_s:.3} s at a band of {:.2} Hz",
             recording.duration_s(),
             plan.band_hz
         )));

@@ -10,6 +10,7 @@
 //! ```
 
 use super::draft::Data;
+use super::instruments::BAND_SHARE;
 use crate::condition::{Plan, Stretch};
 use crate::stream::{Part, Stream};
 use lacuna_estimation::filter::unwrap_angles;
@@ -26,7 +27,8 @@ const ENTRIES: usize = 2 * DELAYS.len() + 3;
 /// Directions of the filter below this share of the largest, by power, are noise.
 const RANK: f64 = 1e-10;
 /// Share of a moving joint's measured velocity, by power, that the command must explain: with less, a drive did something
-/// else than it was told. (What is left includes the encoder's noise.)
+/// else than it was told. It is measured below the band of the smoothed instruments, as a coarse encoder's noise, whose
+/// power in a velocity grows with the cube of the band, is no reason to doubt the command.
 const EXPLAINED: f64 = 0.5;
 
 /// A joint's closed loop in one recording.
@@ -41,8 +43,13 @@ struct Filter {
 pub(crate) struct Loops {
     /// `[recording][joint]`.
     filters: Vec<Vec<Filter>>,
-    /// Least share of a moving joint's velocity that the command explains, by power.
+    /// Least share of a moving joint's velocity that the command explains, by power, below [`slow`].
     pub(crate) explained: f64,
+}
+
+/// The plan whose positions pass the band of the smoothed instruments alone.
+fn slow(plan: &Plan) -> Plan {
+    Plan { bristle: false, position_band_hz: BAND_SHARE * plan.band_hz, ..plan.clone() }
 }
 
 /// The commanded positions of a recording, `[joint]`; `None` where the robot file does not name one per joint, or the
@@ -97,11 +104,15 @@ impl Loops {
             .in_file(&r.name));
         }
         let n = stream.layout.len();
-        let mut sums = vec![vec![Moments::new(ENTRIES); n]; stream.recordings.len()];
+        let plans = [Plan { bristle: false, ..stream.plan.clone() }, slow(stream.plan)];
+        let mut sums = vec![vec![[Moments::new(ENTRIES), Moments::new(ENTRIES)]; n]; stream.recordings.len()];
         stream.pass(
-            |_, part| Ok((part.recording, moments(stream, part)?)),
-            |(recording, found)| {
-                sums[recording].iter_mut().zip(&found).for_each(|(to, from)| to.merge(from));
+            |_, part| Ok((part.recording, moments(stream, part, &plans[0])?, moments(stream, part, &plans[1])?)),
+            |(recording, all, slow)| {
+                for (to, from) in sums[recording].iter_mut().zip(all.iter().zip(&slow)) {
+                    to[0].merge(from.0);
+                    to[1].merge(from.1);
+                }
                 Ok(())
             },
         )?;
@@ -109,18 +120,20 @@ impl Loops {
         let mut filters = Vec::new();
         for (own, recording) in sums.iter().zip(stream.recordings) {
             let mut list = Vec::new();
-            for (j, sum) in own.iter().enumerate() {
-                let (filter, share) = Filter::fit(sum);
+            for (j, [all, slow]) in own.iter().enumerate() {
+                let filter = Filter::fit(all);
+                let share = filter.share(slow);
                 // A joint that hardly moves has nothing to explain.
                 if data.sums.survey[j].fitted > 0 {
                     explained = explained.min(share);
                 }
                 if explained < EXPLAINED {
                     return Err(BadInput::new(format!(
-                        "instruments from the command: it explains {:.0} % of the velocity of joint {} by power; expected \
-                         {:.0} % or more",
+                        "instruments from the command: it explains {:.0} % of the velocity of joint {} below {:.2} Hz by \
+                         power; expected {:.0} % or more",
                         100.0 * share,
                         j + 1,
+                        plans[1].position_band_hz,
                         100.0 * EXPLAINED
                     ))
                     .in_file(&recording.name));
@@ -156,8 +169,8 @@ impl Loops {
 }
 
 impl Filter {
-    /// From the sums of a joint's rows, with the share of the velocity's power that it explains.
-    fn fit(sums: &Moments) -> (Self, f64) {
+    /// From the sums of a joint's rows.
+    fn fit(sums: &Moments) -> Self {
         const K: usize = DELAYS.len();
         let m = sums.products();
         let (rates, places, v, q, one) = (0, K, 2 * K, 2 * K + 1, 2 * K + 2);
@@ -174,8 +187,16 @@ impl Filter {
         let h: [f64; K] = std::array::from_fn(|k| solved[k]);
         let rows = m[(one, one)].max(1.0);
         let offset = (m[(q, one)] - (0..K).map(|k| h[k] * m[(places + k, one)]).sum::<f64>()) / rows;
-        let share = if m[(v, v)] > 0.0 { solved.dot(&right) / m[(v, v)] } else { 1.0 };
-        (Self { h, offset }, share)
+        Self { h, offset }
+    }
+
+    /// The share of the velocity's power that it explains over these rows: 1 − Σe²/Σq̇².
+    fn share(&self, sums: &Moments) -> f64 {
+        const V: (usize, f64) = (2 * DELAYS.len(), 1.0);
+        let left: Vec<(usize, f64)> =
+            self.h.iter().enumerate().map(|(k, h)| (k, -h)).chain(std::iter::once(V)).collect();
+        let all = sums.product(&[V], &[V]);
+        if all > 0.0 { 1.0 - sums.product(&left, &left) / all } else { 1.0 }
     }
 
     fn apply(&self, column: &[f64], offset: f64) -> Vec<f64> {
@@ -184,11 +205,11 @@ impl Filter {
     }
 }
 
-/// Sums over the rows of a part, per joint.
-fn moments(stream: &Stream<'_>, part: &Part) -> Result<Vec<Moments>, BadInput> {
-    let plan = &Plan { bristle: false, ..stream.plan.clone() };
-    let (measured, at) = stream.around(part, plan, plan.band_hz)?;
-    let (commanded, _) = stream.commanded_around(part, plan, plan.band_hz)?;
+/// Sums over the rows of a part by `plan`, per joint.
+fn moments(stream: &Stream<'_>, part: &Part, plan: &Plan) -> Result<Vec<Moments>, BadInput> {
+    let band_hz = plan.position_band_hz.min(plan.band_hz);
+    let (measured, at) = stream.around(part, plan, band_hz)?;
+    let (commanded, _) = stream.commanded_around(part, plan, band_hz)?;
     let joint = |j: usize| {
         let (r, rd) = (&commanded.q_rad[j], &commanded.qd_rad_s[j]);
         let mut rows = Vec::with_capacity(at.len() * ENTRIES);
@@ -223,7 +244,8 @@ mod tests {
         }
         let mut sums = Moments::new(ENTRIES);
         sums.add_rows(&rows).unwrap();
-        let (filter, share) = Filter::fit(&sums);
+        let filter = Filter::fit(&sums);
+        let share = filter.share(&sums);
         assert!((share - 1.0).abs() < 1e-6, "{share}");
         let q = filter.apply(&r, filter.offset);
         for k in (100..3900).step_by(97) {

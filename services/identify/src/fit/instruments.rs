@@ -86,7 +86,8 @@ pub struct InstrumentCheck {
     pub motion: InstrumentMotion,
     /// Low-pass of that motion [Hz].
     pub band_hz: f64,
-    /// Least share of a joint's velocity that the command explains, by power; absent where the motion is the measured one.
+    /// Least share of a joint's velocity that the command explains, by power, below a fifth of the band; absent where the
+    /// motion is the measured one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub explained: Option<f64>,
     /// Parameter whose two estimates differ most, in standard errors of the difference.
@@ -102,7 +103,7 @@ pub struct InstrumentCheck {
 }
 
 /// Instruments' band over the band of the fit.
-const BAND_SHARE: f64 = 0.2;
+pub(super) const BAND_SHARE: f64 = 0.2;
 /// Share of encoder noise in a joint's acceleration, by power, from which on instruments are made: an inertia that is a
 /// 500th too small.
 pub(super) const NOISE_SHARE: f64 = 2e-3;
@@ -362,7 +363,8 @@ fn share(data: Data<'_>, rows: &PartRows, drafts: &[Draft]) -> Result<Share, Bad
         }
         let (mut z, mut zeta) = (Vec::new(), Vec::new());
         for (cell, range) in &of_part {
-            (z.clear(), zeta.clear());
+            z.clear();
+            zeta.clear();
             for k in range.clone().filter(|&k| joint.class[k] == Class::Fitted) {
                 let row = &joint.z[k * (m + w)..(k + 1) * (m + w)];
                 z.extend_from_slice(&row[..m]);

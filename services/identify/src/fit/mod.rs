@@ -21,9 +21,7 @@ pub(crate) mod robust;
 mod support;
 mod triangles;
 
-use crate::base::Structure;
 use crate::options::Options;
-use crate::rows::Rows;
 use crate::split::Span;
 use draft::{Data, Draft};
 use instruments::InstrumentSums;
@@ -112,17 +110,6 @@ pub fn student_975(freedom: usize) -> f64 {
     z + (z3 + z) / (4.0 * v)
         + (5.0 * z5 + 16.0 * z3 + 3.0 * z) / (96.0 * v * v)
         + (3.0 * z.powi(7) + 19.0 * z5 + 17.0 * z3 - 15.0 * z) / (384.0 * v * v * v)
-}
-
-/// The model torque of a joint at every row [Nm].
-pub fn predict(structure: &Structure, rows: &Rows, beta: &DVector<f64>, joint: usize) -> Vec<f64> {
-    let active = &structure.active[joint];
-    let part: Vec<f64> = active.iter().map(|&b| beta[b]).collect();
-    let x = &rows.joints[joint].x;
-    if active.is_empty() {
-        return vec![0.0; rows.len()];
-    }
-    x.chunks_exact(active.len()).map(|row| row.iter().zip(&part).map(|(a, b)| a * b).sum()).collect()
 }
 
 /// Memory for what bounded influence takes off, over the drafts that are worked on together [bytes].

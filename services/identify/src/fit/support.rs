@@ -36,6 +36,8 @@ struct Moved<'a> {
     condition: &'a dyn Fn(&[usize]) -> f64,
     /// XᵀX.
     xtx: DMatrix<f64>,
+    /// Rows of all joints.
+    rows: usize,
 }
 
 /// Base columns that move and that do not.
@@ -49,7 +51,7 @@ pub(super) fn excited(data: Data<'_>, draft: &Draft, total: &Gram) -> Result<(Ch
     let (list, zero) = partition(data, draft);
     let root = column_root(&total.select(&list).xtx());
     let condition = |columns: &[usize]| total.select(columns).condition();
-    let moved = Moved { list, zero, root, condition: &condition, xtx: total.xtx() };
+    let moved = Moved { list, zero, root, condition: &condition, xtx: total.xtx(), rows: draft.count.iter().sum() };
     let (mut choice, condition) = moved.choose(data, &DATA_TOLERANCE, 0.5 * GRAM_CONDITION_LIMIT)?;
     let resolved = base_parameters(&moved.root, GRAM_FLOOR, Pivoting::InOrder)?.rank();
     choice.lossy = resolved > choice.excited.len();
@@ -66,7 +68,8 @@ pub(super) fn told_apart(data: Data<'_>, draft: &Draft, normal: &Normal) -> Resu
         c.unscale_mut(if length > 0.0 { length } else { 1.0 });
     });
     let condition = |columns: &[usize]| normal.condition(columns);
-    let moved = Moved { list, zero, root, condition: &condition, xtx: normal.total.xtx() };
+    let rows = draft.count.iter().sum();
+    let moved = Moved { list, zero, root, condition: &condition, xtx: normal.total.xtx(), rows };
     let (mut choice, condition) = moved.choose(data, &QR_TOLERANCE, QR_CONDITION_LIMIT)?;
     choice.lossy = true;
     Ok((choice, condition))
@@ -101,9 +104,12 @@ impl Moved<'_> {
             let choice = Choice { excited, unexcited, fixed, lossy: false };
             return Ok((choice, (self.condition)(&self.list)));
         }
-        Err(BadInput::new(
-            "found columns that the recordings do not tell apart at any tolerance; expected motion of every joint",
-        ))
+        Err(BadInput::new(format!(
+            "found {} parameters that {} rows of moving joints do not tell apart at any tolerance; expected motion of every \
+             joint, and longer recordings",
+            self.list.len(),
+            self.rows
+        )))
     }
 }
 

@@ -7,6 +7,7 @@
 //! signal is a current or a voltage (`torque_unit`), then `tau_nm` holds that signal in that unit and every
 //! report says so. A prismatic joint's `q_rad` is in metres and its `tau_nm` in newtons.
 
+pub mod columns;
 pub mod error;
 pub mod ethercat;
 pub mod graph;

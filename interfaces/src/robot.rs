@@ -4,6 +4,7 @@
 //! path or `[[dh]]` rows (classic: Rz(q + offset) Tz(d) Tx(a) Rx(alpha)). SI units; `alpha_deg` alone is in
 //! degrees because leg directions are written that way.
 
+use crate::columns::Columns;
 use crate::ethercat::Ethercat;
 use crate::{BadInput, MAX_JOINTS};
 use serde::{Deserialize, Serialize};
@@ -179,26 +180,6 @@ pub struct Drive {
     pub rated_torque_nm: Option<PerJoint>,
 }
 
-/// Columns beyond time, positions and torques.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Columns {
-    /// Joint temperatures [°C], one column per joint.
-    #[serde(default)]
-    pub temperature: Vec<String>,
-    /// 1 while the drive is on, 0 while it is off.
-    pub enabled: Option<String>,
-    /// Link-side encoder positions [rad], for the first joints.
-    #[serde(default)]
-    pub link_position: Vec<String>,
-    /// Joint torque sensor [Nm].
-    #[serde(default)]
-    pub link_torque: Vec<String>,
-    /// Commanded positions [rad], one column per joint: what the controller was told to follow.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub reference: Vec<String>,
-}
-
 /// Motion limits, for excitation design.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -267,7 +248,7 @@ pub struct RobotFile {
     /// Drives.
     #[serde(default)]
     pub drive: Drive,
-    /// Further columns.
+    /// Columns of tables.
     #[serde(default)]
     pub columns: Columns,
     /// Motion limits.
@@ -334,19 +315,7 @@ impl RobotFile {
         }
         finite("env.gravity", &self.env.gravity)?;
         self.validate_drive(n)?;
-        for (key, list, most) in [
-            ("columns.temperature", &self.columns.temperature, n),
-            ("columns.link_position", &self.columns.link_position, n),
-            ("columns.link_torque", &self.columns.link_torque, n),
-            ("columns.reference", &self.columns.reference, n),
-        ] {
-            if list.len() > most {
-                return Err(BadInput::new(format!(
-                    "{key}: found {} columns; expected at most {most}, one per joint",
-                    list.len()
-                )));
-            }
-        }
+        self.columns.validate(n)?;
         for (key, v) in [("tolerance.mass", self.tolerance.mass), ("tolerance.length", self.tolerance.length)] {
             if !(v.is_finite() && (0.0..1.0).contains(&v)) {
                 return Err(BadInput::new(format!("{key}: found {v}; expected a fraction from 0 to below 1")));

@@ -55,7 +55,9 @@ def foxglove(joints):
             path = lambda topic, field, i: f"{topic}.{field}" + ("" if i is None else f"[{i}]")
             config[ids[-1]] = {
                 "title": title,
+                # Each viewer looks for its own key.
                 "foxglovePanelTitle": title,
+                "lichtblickPanelTitle": title,
                 "paths": [
                     {
                         "value": path(topic, field, i),

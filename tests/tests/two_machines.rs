@@ -106,10 +106,11 @@ fn a_stream_crosses_and_what_is_lost_is_counted() {
         return;
     };
     let tunnel = format!("tunnel={}", tunnel.display());
-    for (khz, seconds) in [(1, 6.0), (4, 24.0)] {
+    // Both namespaces have both clocks of this machine: stamps must come across by either.
+    for (khz, seconds, clocks) in [(1, 6.0, "one"), (1, 6.0, "synchronised"), (4, 24.0, "synchronised")] {
         let bench = Bench::with_motion(seconds);
-        let common = ["robot=robot.toml".to_owned(), "one_clock=true".to_owned(), tunnel.clone()];
-        let port = 17440 + khz;
+        let common = ["robot=robot.toml".to_owned(), format!("clocks={clocks}"), tunnel.clone()];
+        let port = 17440 + khz + if clocks == "one" { 10 } else { 0 };
         let desk = [
             "model=model.toml".to_owned(),
             "out=desk.mcap".to_owned(),
@@ -136,9 +137,20 @@ fn a_stream_crosses_and_what_is_lost_is_counted() {
         assert_eq!(done.status.code(), Some(if count(&desk["lost"]) > 0 { 3 } else { 0 }));
         assert!(count(&desk["lost"]) >= missing);
         same_numbers(&messages(&bench.path().join("raw.mcap")), &messages(&bench.path().join("desk.mcap")), came);
-        let hop = link["latency"].as_array().expect("latency").iter().rev().nth(3).unwrap_or(&Value::Null);
+        // source → link at the robot → link at the desk: the last hop is the link's.
+        let hops = link["latency"].as_array().expect("latency");
+        let across = hops.iter().find(|hop| hop["hop"] == "1→here").unwrap_or_else(|| panic!("no hop: {link}"));
+        assert_eq!(count(&across["count"]), came);
+        assert_eq!(link["details"]["stamped_later_than_they_came"], 0, "{link}");
+        let us = |key: &str| across[key].as_f64().unwrap_or_else(|| panic!("{key}: {across}"));
+        let [p50, p99, max] = ["p50_us", "p99_us", "max_us"].map(us);
+        assert!(0.0 < p50 && p50 <= p99 && p99 <= max, "{across}");
         eprintln!(
-            "{khz} kHz: {sent} sent, {came} came, {missing} lost, {before} before joining; across the link {hop}"
+            "{khz} kHz, clocks {clocks}: {sent} sent, {came} came, {missing} lost, {before} before joining; across the \
+             link p50 {:.2} ms, p99 {:.2} ms, at most {:.1} ms",
+            p50 / 1e3,
+            p99 / 1e3,
+            max / 1e3
         );
     }
 }

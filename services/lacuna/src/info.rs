@@ -1,6 +1,7 @@
 //! `lacuna info`: what is in a recording.
 
 use crate::progress::Progress;
+use crate::spikes::Spikes;
 use crate::survey::{Surveyed, survey_of, survey_words};
 use crate::{CommandResult, words};
 use clap::Args;
@@ -102,6 +103,9 @@ struct Joint {
     tau_min_nm: f64,
     tau_max_nm: f64,
     tau_rms_nm: f64,
+    /// Single-sample spikes, left as they are: `identify` and `diagnose` replace them.
+    q_spikes: u64,
+    tau_spikes: u64,
 }
 
 /// `lacuna info`.
@@ -191,6 +195,7 @@ fn contents(path: &Path, topic: Option<String>, robot: &RobotFile, progress: &Pr
     let mut stamps_ns: Vec<i64> = Vec::new();
     let mut gaps = Vec::new();
     let mut spans = [Span::default(); MAX_JOINTS];
+    let mut spikes = Spikes::new(n);
     while let Some(sample) = reader.next_sample()? {
         let m = &sample.measured;
         if m.header.has(flag::GAP)
@@ -199,6 +204,7 @@ fn contents(path: &Path, topic: Option<String>, robot: &RobotFile, progress: &Pr
             gaps.push(Gap { from_s: seconds(*last), to_s: seconds(m.header.stamp_ns) });
         }
         stamps_ns.push(m.header.stamp_ns);
+        spikes.saw(m);
         for (span, (q, tau)) in spans.iter_mut().zip(m.q_rad.iter().zip(&m.tau_nm)) {
             span.add(*q, *tau);
         }
@@ -211,6 +217,8 @@ fn contents(path: &Path, topic: Option<String>, robot: &RobotFile, progress: &Pr
     let median = steps.get(steps.len() / 2).map(|ns| seconds(*ns));
     let (first, last) = (stamps_ns.first().copied().unwrap_or(0), stamps_ns.last().copied().unwrap_or(0));
     let about = reader.about();
+    let spikes = spikes.finish();
+    let joints = robot.joints.iter().zip(spans.iter().zip(&spikes)).take(n);
     Ok(Contents {
         format: about.format,
         topic: about.topic.clone(),
@@ -223,7 +231,7 @@ fn contents(path: &Path, topic: Option<String>, robot: &RobotFile, progress: &Pr
         shortest_step_s: steps.first().map(|ns| seconds(*ns)),
         longest_step_s: steps.last().map(|ns| seconds(*ns)),
         gaps,
-        joints: robot.joints.iter().zip(&spans).take(n).map(|(name, s)| s.joint(name, stamps_ns.len())).collect(),
+        joints: joints.map(|(name, (s, spikes))| s.joint(name, stamps_ns.len(), *spikes)).collect(),
         extra_columns: about.extra_names.clone(),
         ignored: about.ignored.clone(),
         repairs: reader.repairs(),
@@ -256,7 +264,7 @@ impl Span {
         self.tau_squared += tau * tau;
     }
 
-    fn joint(&self, name: &str, samples: usize) -> Joint {
+    fn joint(&self, name: &str, samples: usize, [q_spikes, tau_spikes]: [u64; 2]) -> Joint {
         Joint {
             joint: name.to_owned(),
             q_min_rad: self.q.0,
@@ -264,6 +272,8 @@ impl Span {
             tau_min_nm: self.tau.0,
             tau_max_nm: self.tau.1,
             tau_rms_nm: (self.tau_squared / samples.max(1) as f64).sqrt(),
+            q_spikes,
+            tau_spikes,
         }
     }
 }
@@ -295,6 +305,17 @@ fn container_words(c: &Container) -> String {
         let _ = writeln!(text, "Metadata: {}", c.metadata.keys().cloned().collect::<Vec<_>>().join(", "));
     }
     text
+}
+
+/// Where the numbers hardly are in the units that they are taken for.
+fn doubt(r: &Contents) -> Option<String> {
+    let period = r.median_rate_hz.map(|hz| 1.0 / hz).filter(|s| *s > 0.1);
+    period.map(|s| {
+        format!(
+            "Doubt: a sample every {} s; if the time is in ms, [columns] time_unit of the robot file says so",
+            significant(s, 4)
+        )
+    })
 }
 
 fn contents_words(r: &Contents) -> String {
@@ -331,6 +352,16 @@ fn contents_words(r: &Contents) -> String {
             writeln!(text, "Gaps: {}, the longest {} s (--json lists them)", r.gaps.len(), significant(longest, 3))
         }
     };
+    for j in r.joints.iter().filter(|j| j.q_spikes + j.tau_spikes > 0) {
+        let some = [(j.q_spikes, "position"), (j.tau_spikes, "torque")].into_iter().filter(|(n, _)| *n > 0);
+        let list: Vec<String> =
+            some.map(|(n, signal)| format!("{} of {signal}", words::count(n as usize, "spike"))).collect();
+        let _ =
+            writeln!(text, "{}: {} of a single sample; identify and diagnose replace them", j.joint, list.join(", "));
+    }
+    if let Some(doubt) = doubt(r) {
+        let _ = writeln!(text, "{doubt}");
+    }
     let repairs = words::repairs(&r.repairs);
     text + if repairs.is_empty() { "Repaired: nothing\n" } else { &repairs }
 }

@@ -1,6 +1,7 @@
 //! What `lacuna info` says of a file without knowing its robot: what is in it, and what it would need.
 
-use lacuna_recording::Survey;
+use crate::mapping::mapping;
+use lacuna_recording::{Survey, Table};
 use lacuna_report::number::significant;
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -9,7 +10,9 @@ use std::fmt::Write as _;
 #[derive(Debug, Serialize)]
 pub struct Surveyed {
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    columns: Vec<String>,
+    columns: Vec<Column>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time: Option<Time>,
     #[serde(skip_serializing_if = "Option::is_none")]
     rows: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -21,6 +24,31 @@ pub struct Surveyed {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     datagrams: Vec<Datagram>,
     needs: Vec<String>,
+    /// Lines of a robot file that would let these columns be read.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    mapping: Vec<String>,
+}
+
+/// A table's column, in its own unit.
+#[derive(Debug, Serialize)]
+struct Column {
+    name: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    min: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max: Option<f64>,
+    /// Rows without a finite number.
+    not_numbers: u64,
+}
+
+/// The column that looks like the time, in its own unit.
+#[derive(Debug, Serialize)]
+struct Time {
+    column: String,
+    median_step: Option<f64>,
+    longest_step: f64,
+    /// Rows whose time is not later than that of the row before.
+    not_increasing: u64,
 }
 
 #[derive(Debug, Serialize)]
@@ -42,17 +70,27 @@ struct Datagram {
 pub fn survey_of(survey: &Survey) -> Surveyed {
     let mut out = Surveyed {
         columns: Vec::new(),
+        time: None,
         rows: None,
         frames: None,
         ethercat_frames: None,
         duration_s: None,
         datagrams: Vec::new(),
         needs: Vec::new(),
+        mapping: Vec::new(),
     };
     match survey {
         Survey::Table(table) => {
-            out.needs = needs(&table.columns);
-            out.columns.clone_from(&table.columns);
+            let names: Vec<String> = table.columns.iter().map(|c| c.name.clone()).collect();
+            out.mapping = mapping(table);
+            out.needs = needs(&names, &out.mapping);
+            out.columns = columns(table);
+            out.time = table.time.and_then(|i| table.columns.get(i)).map(|c| Time {
+                column: c.name.clone(),
+                median_step: c.steps.median(),
+                longest_step: c.steps.longest,
+                not_increasing: c.steps.not_increasing,
+            });
             out.rows = Some(table.rows);
         }
         Survey::Bus(bus) => {
@@ -92,21 +130,33 @@ pub fn survey_of(survey: &Survey) -> Surveyed {
     out
 }
 
-/// What a table lacks or a robot file must say.
-fn needs(columns: &[String]) -> Vec<String> {
+fn columns(table: &Table) -> Vec<Column> {
+    let one = |c: &lacuna_recording::survey::Column| Column {
+        name: c.name.clone(),
+        min: c.range.map(|r| r.0),
+        max: c.range.map(|r| r.1),
+        not_numbers: table.rows.saturating_sub(c.numbers),
+    };
+    table.columns.iter().map(one).collect()
+}
+
+/// What a table lacks or a robot file must say, its `[columns]` in `mapping` aside.
+fn needs(columns: &[String], mapping: &[String]) -> Vec<String> {
     let has = |name: &str| columns.iter().any(|c| c == name);
     let numbered = |prefix: &str| (1..).take_while(|j| has(&format!("{prefix}{j}"))).count();
     let named = |prefix: &str| columns.iter().filter(|c| c.starts_with(&format!("{prefix}_"))).count();
     let (q, tau) = (numbered("q") + named("q"), numbered("tau") + named("tau"));
     let mut all = Vec::new();
-    if !has("t") {
-        all.push("a column t, the time in seconds".to_owned());
+    let mapped = |key: &str| mapping.iter().any(|line| line.starts_with(&format!("{key} = ")));
+    let named = |key: &str| format!("named as columns.{key} in the robot file if they are called otherwise");
+    if !has("t") && !mapped("time") {
+        all.push(format!("a column t, the time in seconds; {}", named("time").replace("they are", "it is")));
     }
-    if q == 0 {
-        all.push("columns q1…qn or q_<joint>, positions in rad".to_owned());
+    if q == 0 && !mapped("position") {
+        all.push(format!("columns q1…qn or q_<joint>, positions in rad; {}", named("position")));
     }
-    if tau == 0 {
-        all.push("columns tau1…taun or tau_<joint>, torques".to_owned());
+    if tau == 0 && !mapped("torque") {
+        all.push(format!("columns tau1…taun or tau_<joint>, torques; {}", named("torque")));
     }
     if q != tau && q > 0 && tau > 0 {
         all.push(format!("as many torques as positions (found {tau} and {q})"));
@@ -121,7 +171,18 @@ pub fn survey_words(s: &Surveyed) -> String {
     let mut text = String::new();
     // Writing to a String cannot fail.
     if let Some(rows) = s.rows {
-        let _ = writeln!(text, "CSV: {rows} rows of {}", s.columns.join(", "));
+        let names: Vec<&str> = s.columns.iter().map(|c| c.name.as_str()).collect();
+        let _ = writeln!(text, "CSV: {rows} rows of {}", names.join(", "));
+        text.push_str(&columns_words(&s.columns));
+    }
+    if let Some(time) = &s.time {
+        let step = time.median_step.map_or_else(String::new, |step| format!("median step {}, ", significant(step, 4)));
+        let back = if time.not_increasing > 0 {
+            format!(", {} of its steps are none or backwards", time.not_increasing)
+        } else {
+            String::new()
+        };
+        let _ = writeln!(text, "Time: {}, {step}longest step {}{back}", time.column, significant(time.longest_step, 4));
     }
     if let (Some(frames), Some(ethercat)) = (s.frames, s.ethercat_frames) {
         let length = s.duration_s.map_or_else(String::new, |d| format!(" in {} s", significant(d, 4)));
@@ -141,6 +202,27 @@ pub fn survey_words(s: &Surveyed) -> String {
     }
     for need in &s.needs {
         let _ = writeln!(text, "Needs {need}");
+    }
+    if !s.mapping.is_empty() {
+        text.push_str(
+            "Needs the meaning of these columns in that robot file; by their names and values perhaps:\n  [columns]\n",
+        );
+        s.mapping.iter().for_each(|line| text.push_str(&format!("  {line}\n")));
+    }
+    text
+}
+
+fn columns_words(columns: &[Column]) -> String {
+    let mut text = String::new();
+    let width = columns.iter().map(|c| c.name.chars().count()).max().unwrap_or(0).max(6);
+    let _ = writeln!(text, "{:width$}  {:>26}  No number", "Column", "Range");
+    for c in columns {
+        let range = match (c.min, c.max) {
+            (Some(low), Some(high)) => format!("{} to {}", significant(low, 5), significant(high, 5)),
+            _ => "–".to_owned(),
+        };
+        let none = if c.not_numbers > 0 { format!("{:>9}", c.not_numbers) } else { String::new() };
+        let _ = writeln!(text, "{}", format!("{:width$}  {range:>26}  {none}", c.name).trim_end());
     }
     text
 }

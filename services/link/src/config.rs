@@ -1,6 +1,7 @@
 //! What a link is told, and what the tunnel is told in turn.
 
 use lacuna_interfaces::BadInput;
+use lacuna_stage::Clocks;
 use serde::Deserialize;
 use std::path::PathBuf;
 
@@ -20,8 +21,8 @@ pub struct Config {
     pub poll_ms: u32,
     /// How long the sender lets the machines find each other before the stream begins [s].
     pub settle_s: f64,
-    /// Both ends run on one machine (a test in network namespaces): latencies across the link can be told.
-    pub one_clock: bool,
+    /// How the clocks of the machines go together: `apart`, `one` (both ends on one machine) or `synchronised`.
+    pub clocks: Clocks,
 }
 
 impl Default for Config {
@@ -33,7 +34,7 @@ impl Default for Config {
             tunnel: PathBuf::from("iox2-link-tunnel-zenoh"),
             poll_ms: 1,
             settle_s: 3.0,
-            one_clock: false,
+            clocks: Clocks::Apart,
         }
     }
 }

@@ -10,7 +10,7 @@ mod config;
 use config::{Config, tunnel_domain};
 use lacuna_interfaces::BadInput;
 use lacuna_stage::bus::link_topic;
-use lacuna_stage::{Carrier, LinkContext, run_link};
+use lacuna_stage::{Carrier, Clocks, LinkContext, run_link};
 use std::fs::{DirBuilder, OpenOptions};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
 use std::path::PathBuf;
@@ -57,8 +57,8 @@ impl Carrier for Tunnel {
         Duration::from_secs_f64(self.config.settle_s)
     }
 
-    fn one_clock(&self) -> bool {
-        self.config.one_clock
+    fn clocks(&self) -> Clocks {
+        self.config.clocks
     }
 
     fn start(&mut self) -> Result<(), String> {

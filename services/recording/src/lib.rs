@@ -29,4 +29,4 @@ pub use reader::{
     read_all_with,
 };
 pub use sample::{About, RawReader, Sample};
-pub use survey::{Survey, survey};
+pub use survey::{Survey, Table, survey};

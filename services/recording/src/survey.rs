@@ -3,7 +3,7 @@
 use crate::ethercat::{Command, Frame};
 use crate::files::open_error;
 use crate::formats::packets::Packets;
-use crate::formats::rows::{Lines, Row, bare};
+use crate::formats::rows::{Lines, Row, bare, parse_number};
 use crate::formats::{SNIFF_BYTES, detect};
 use lacuna_interfaces::BadInput;
 use std::collections::BTreeMap;
@@ -26,10 +26,65 @@ pub enum Survey {
 /// A CSV's columns.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Table {
-    /// Column names.
-    pub columns: Vec<String>,
+    /// Columns in their order.
+    pub columns: Vec<Column>,
     /// Rows below the header.
     pub rows: u64,
+    /// Index of the column that looks like the time: one named so, else the first if it never falls.
+    pub time: Option<usize>,
+}
+
+/// What one column of a table holds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Column {
+    /// As in the header.
+    pub name: String,
+    /// Rows with a finite number.
+    pub numbers: u64,
+    /// Smallest and largest of these, in the column's unit.
+    pub range: Option<(f64, f64)>,
+    /// Steps from number to number, in the column's unit.
+    pub steps: Steps,
+}
+
+/// How a column goes on from row to row.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Steps {
+    last: Option<f64>,
+    /// The first ones that are not zero, for their median.
+    first: Vec<f64>,
+    /// Longest.
+    pub longest: f64,
+    /// Steps back, or none.
+    pub not_increasing: u64,
+    /// Steps back.
+    pub falling: u64,
+}
+
+/// Steps that the median is taken of.
+const MOST_STEPS: usize = 10_000;
+/// Columns that are looked into; further ones are only named.
+const MOST_COLUMNS: usize = 256;
+
+impl Steps {
+    fn saw(&mut self, value: f64) {
+        if let Some(last) = self.last.replace(value) {
+            let step = value - last;
+            self.longest = self.longest.max(step);
+            self.falling += u64::from(step < 0.0);
+            self.not_increasing += u64::from(step <= 0.0);
+            if step != 0.0 && self.first.len() < MOST_STEPS {
+                self.first.push(step);
+            }
+        }
+    }
+
+    /// Median of the first ten thousand steps that are not zero; `None` without any.
+    pub fn median(&self) -> Option<f64> {
+        let mut steps = self.first.clone();
+        let middle = steps.len() / 2;
+        (!steps.is_empty()).then(|| *steps.select_nth_unstable_by(middle, f64::total_cmp).1)
+    }
 }
 
 /// A capture's traffic.
@@ -84,12 +139,35 @@ fn table(path: &Path) -> Result<Table, BadInput> {
     if !row.read(&mut lines)? {
         return Err(BadInput::new("found an empty file; expected a header line").at_line(1));
     }
-    let columns = row.fields().map(|f| String::from_utf8_lossy(bare(f)).into_owned()).collect();
+    let named = |f: &[u8]| Column {
+        name: String::from_utf8_lossy(bare(f)).into_owned(),
+        numbers: 0,
+        range: None,
+        steps: Steps::default(),
+    };
+    let mut columns: Vec<Column> = row.fields().map(named).collect();
+    while columns.last().is_some_and(|c| c.name.is_empty()) {
+        columns.pop();
+    }
     let mut rows = 0;
     while row.read(&mut lines)? {
         rows += 1;
+        for (column, field) in columns.iter_mut().take(MOST_COLUMNS).zip(row.fields()) {
+            let Some(value) = parse_number(bare(field)).filter(|v| v.is_finite()) else { continue };
+            let (low, high) = column.range.unwrap_or((value, value));
+            column.numbers += 1;
+            column.range = Some((low.min(value), high.max(value)));
+            column.steps.saw(value);
+        }
     }
-    Ok(Table { columns, rows })
+    let time = columns.iter().position(|c| is_time(&c.name));
+    let time = time.or_else(|| columns.first().filter(|c| c.numbers > 2 && c.steps.falling == 0).map(|_| 0));
+    Ok(Table { columns, rows, time })
+}
+
+fn is_time(name: &str) -> bool {
+    let name = name.to_ascii_lowercase();
+    name == "t" || ["time", "stamp", "t_", "t ", "t["].iter().any(|start| name.starts_with(start))
 }
 
 fn bus(path: &Path) -> Result<Bus, BadInput> {

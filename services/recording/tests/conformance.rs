@@ -237,3 +237,27 @@ fn files_of_no_known_format_are_refused_in_words() {
     let e = open(dir.path(), &robot()).unwrap_err().to_string();
     assert!(e.contains("folder with 1 .mcap") || e.contains("mcap signature"), "{e}");
 }
+
+/// A URDF names the joints one way, the robot's own controller another.
+#[test]
+fn joints_of_another_name_are_found() {
+    let dir = tempfile::tempdir().unwrap();
+    let own = robot();
+    let text = "kind = \"serial\"\nname = \"arm\"\njoints = [\"j1\", \"j2\"]\n[[dh]]\na = 0.3\n[[dh]]\na = 0.2\n[columns]\n\
+        temperature = [\"x_ta\", \"x_tb\"]\nlink_position = [\"x_enc\"]\nenabled = \"x_on\"\njoints = [\"shoulder\", \"elbow\"]\n";
+    let other = RobotFile::parse(text).unwrap();
+    let path = dir.path().join("a.mcap");
+    write("mcap", &path, &motion(50));
+    let [a, mut b] = [&own, &other].map(|robot| read_all(&path, robot).unwrap());
+    assert_eq!(b.joints, ["j1", "j2"]);
+    b.joints.clone_from(&a.joints);
+    assert_eq!(format!("{a:?}"), format!("{b:?}"));
+    let lost = RobotFile::parse(&text.replace("\"shoulder\", \"elbow\"", "\"shoulder\", \"hand\"")).unwrap();
+    let e = read_all(&path, &lost).unwrap_err().to_string();
+    assert!(e.contains("found joints shoulder, elbow; expected also hand"), "{e}");
+    let path = dir.path().join("a.csv");
+    std::fs::write(&path, "t,q_elbow,q_shoulder,tau_shoulder,tau_elbow\n0,1,2,3,4\n").unwrap();
+    let table = RobotFile::parse(&text.replace("temperature", "#").replace("link_", "#").replace("enabled", "#")).unwrap();
+    let read = read_all(&path, &table).unwrap();
+    assert_eq!((read.q_rad[0][0], read.q_rad[1][0], read.tau_nm[1][0]), (2.0, 1.0, 4.0));
+}

@@ -32,6 +32,7 @@ fn dialects_mean_the_same() {
         "t,q1,tau1,x_a,\n0,1.5,-2,7,\n0.001,1.25,-3,8,\n",
         "t,q1,tau1,x_a\n0,1.5,-2,7,\n0.001,1.25,-3,8,,\n",
         "t;q1;tau1;x_a\n0;1.5;-2;7\n0.001;1.25;-3;8\n",
+        "t;q1;tau1;x_a\r\n0;1,5;-2;7\r\n0,001;1,25;-3;8\r\n",
         "t\tq1\ttau1\tx_a\n0\t1.5\t-2\t7\n0.001\t1.25\t-3\t8\n",
         "\"t\",\"q1\",\"tau1\",\"x_a\"\n\"0\",1.5,-2,7\n0.001,\"1.25\",-3,8\n",
         "x_a,tau_servo,q_servo,t\n7,-2,1.5,0\n8,-3,1.25,1e-3\n",
@@ -66,7 +67,7 @@ fn errors_name_line_column_and_expectation() {
         ("t,q1,tau1\n0,1e293,2\n", 2, "q1 = 1e293"),
         ("t,q1,tau1\n1660000000000,1,2\n", 2, "ms or ns"),
         ("t,q1,tau1\n0,1,2\n1e300,1,2\n0.1,1,2\n", 3, "ms or ns"),
-        ("t;q1;tau1\n0;1,5;2\n", 2, "\"1,5\""),
+        ("t;q1;tau1\n0;1.001,5;2\n", 2, "\"1.001,5\""),
         ("t,q1,tau1,x_a\n0,1,2,RUN\n", 2, "\"RUN\" in column x_a"),
         ("# comment\nt,q1,tau1\n", 1, "# comment"),
     ] {
@@ -75,6 +76,53 @@ fn errors_name_line_column_and_expectation() {
         assert!(e.what.contains(expect), "{text}: {e}");
         assert!(!e.to_string().contains('\n'), "{e}");
     }
+}
+
+/// A controller's own log: its names, milliseconds, degrees and millimetres, torque at the motor, decimal commas.
+#[test]
+fn columns_and_units_of_others() {
+    let head =
+        "kind = \"serial\"\nname = \"r\"\njoints = [\"turn\", \"slide\"]\n[[dh]]\n[[dh]]\njoint = \"prismatic\"\n";
+    let table = "[columns]\ntime = \"Time [ms]\"\ntime_unit = \"ms\"\nposition = [\"A1.Pos\", \"A2.Pos\"]\n\
+        position_unit = [\"deg\", \"mm\"]\nposition_scale = [-1, 1]\ntorque = [\"A1.Trq\", \"A2.Trq\"]\n\
+        torque_scale = [-50, 2]\nreference = [\"A1.Cmd\"]\n";
+    let robot = RobotFile::parse(&format!("{head}{table}")).unwrap();
+    let text = "Time [ms];A1.Pos;A1.Trq;A2.Pos;A2.Trq;A1.Cmd;Mode\n1700000000000,125;90;0,5;250;-3;180;1\n\
+        1700000000001,125;-45;1;251;-4;0;1\n";
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("r.csv");
+    std::fs::write(&path, text).unwrap();
+    let mut reader = open(&path, &robot).unwrap();
+    assert_eq!(reader.about().ignored, ["Mode"]);
+    let m = reader.next_sample().unwrap().unwrap().measured;
+    assert_eq!(m.header.stamp_ns, 1_700_000_000_000_125_000, "to the nanosecond");
+    use std::f64::consts::{FRAC_PI_2, PI};
+    let close = |a: f64, b: f64| assert!((a - b).abs() < 1e-15, "{a} {b}");
+    close(m.q_rad[0], -FRAC_PI_2);
+    close(m.q_rad[1], 0.25);
+    assert_eq!(m.tau_nm[..2], [-25.0, -6.0]);
+    let whole = read_with(text, &robot).unwrap();
+    close(whole.extra["A1.Cmd"][0], PI);
+    // A table with the usual names is in the usual units, whatever the robot file says of others.
+    let usual = read_with("t,q1,q_slide,tau1,tau2\n0.001,1,2,3,4\n", &robot).unwrap();
+    assert_eq!((usual.t_s[0], usual.q_rad[0][0], usual.q_rad[1][0], usual.tau_nm[0][0]), (0.001, 1.0, 2.0, 3.0));
+    let e = read_with("Time [ms];A1.Pos;A1.Trq;A2.Trq\n0;1;2;3\n", &robot).unwrap_err();
+    assert!(e.what.contains("expected also A2.Pos for robot"), "{e}");
+    for (unit, cell, ns) in [
+        ("s", "1700000000.000000125", 1_700_000_000_000_000_125),
+        ("us", "1700000000000000.125", 1_700_000_000_000_000_125),
+        ("ns", "1700000000000000125", 1_700_000_000_000_000_125),
+        ("ns", "-125", -125),
+        ("ms", "1e3", 1_000_000_000),
+    ] {
+        let robot = RobotFile::parse(&format!("{head}{}", table.replace("\"ms\"", &format!("\"{unit}\"")))).unwrap();
+        std::fs::write(&path, format!("Time [ms];A1.Pos;A1.Trq;A2.Pos;A2.Trq\n{cell};0;0;0;0\n")).unwrap();
+        let stamp = open(&path, &robot).unwrap().next_sample().unwrap().unwrap().measured.header.stamp_ns;
+        assert_eq!(stamp, ns, "{cell} {unit}");
+    }
+    let late = RobotFile::parse(&format!("{head}{}", table.replace("time_unit = \"ms\"\n", ""))).unwrap();
+    let e = read_with("Time [ms];A1.Pos;A1.Trq;A2.Pos;A2.Trq\n1700000000000;0;0;0;0\n", &late).unwrap_err();
+    assert!(e.what.contains("ms or ns"), "{e}");
 }
 
 #[test]

@@ -30,7 +30,7 @@ mod stage_loop;
 pub use any::AnyMessage;
 pub use control::{Event, Gauge, HopLatency, Order, StageReport};
 pub use domain::{Domain, RunDir};
-pub use link_loop::{Carrier, LinkContext, run_link};
+pub use link_loop::{Carrier, Clocks, LinkContext, run_link};
 pub use process::Failure;
 pub use sink_loop::{Sink, SinkContext, run_sink};
 pub use source_loop::{Next, Source, SourceContext, run_source};

@@ -3,11 +3,12 @@
 //! The sender is a reader of its topic like any other and hands every sample to what carries it. The receiver is a
 //! source: it numbers nothing anew, so that a hole in the numbers is what was lost on the way; it is counted and flagged.
 
+use crate::bus::shift_hops;
 use crate::bus::{Input, LinkReader, LinkWriter, Output, Received, Wake, end_of_stream, wait_for_type};
-use crate::clock::monotonic_ns;
+use crate::clock::{monotonic_ns, wall_ahead_ns};
 use crate::control::{Event, Gauge, StageReport};
 use crate::domain::RunDir;
-use crate::latency::LatencyMeter;
+use crate::latency::{EdgeMeter, LatencyMeter};
 use crate::process::{Failure, Process, Pulse, main_with};
 use lacuna_interfaces::graph::Mode;
 use lacuna_interfaces::wire::MAX_HOPS;
@@ -15,6 +16,7 @@ use lacuna_interfaces::{
     BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, PayloadEstimate, ResidualWatch, TorqueModel, Wire,
     flag,
 };
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -26,6 +28,19 @@ const POLL: Duration = Duration::from_micros(250);
 /// The end of the stream is said so often: a receiver that joins late or loses one must hear it, too.
 const FAREWELLS: u32 = 25;
 const BETWEEN_FAREWELLS: Duration = Duration::from_millis(20);
+
+/// How the clocks of the two machines go together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Clocks {
+    /// Nothing is known: stamps of hops before the link are cleared, latencies begin there.
+    #[default]
+    Apart,
+    /// Both ends run on one machine, in network namespaces or containers.
+    One,
+    /// The wall clocks are synchronised (PTP): stamps cross by them, and latencies are as good as that.
+    Synchronised,
+}
 
 /// What a carrier is told.
 #[derive(Debug, Clone, Copy)]
@@ -57,8 +72,8 @@ pub trait Carrier: Sized {
     /// How long the machines may take to find each other before the stream begins.
     fn settle(&self) -> Duration;
 
-    /// True if both machines have one clock: stamps of earlier hops then mean something here.
-    fn one_clock(&self) -> bool;
+    /// How the clocks of the two machines go together; the same at both ends.
+    fn clocks(&self) -> Clocks;
 
     /// Starts it.
     ///
@@ -151,6 +166,7 @@ fn send<W: Wire, C: Carrier>(
     settle(&mut carrier, process)?;
     Event::Ready.emit();
 
+    let by_wall = carrier.clocks() == Clocks::Synchronised;
     let mut pulse = Pulse::new();
     let mut looked = Instant::now();
     let mut last: Option<Header> = None;
@@ -171,7 +187,7 @@ fn send<W: Wire, C: Carrier>(
                     Event::Flowing { at_ns: monotonic_ns() }.emit();
                 }
                 last = Some(*header);
-                link.send(&message)?;
+                link.send(&message, by_wall)?;
             }
         }
         if process.stop.requested() {
@@ -204,7 +220,7 @@ fn send<W: Wire, C: Carrier>(
 fn farewell<W: Wire>(link: &mut LinkWriter<W>, last: Option<Header>) -> Result<(), Failure> {
     let end = end_of_stream::<W>(last.map_or(0, |h| h.seq) + 1, last.map_or(0, |h| h.joints));
     for _ in 0..FAREWELLS {
-        link.send(&end)?;
+        link.send(&end, false)?;
         std::thread::sleep(BETWEEN_FAREWELLS);
     }
     Ok(())
@@ -224,7 +240,8 @@ fn receive<W: Wire, C: Carrier>(
 
     let mut pulse = Pulse::new();
     let mut looked = Instant::now();
-    let mut arrival = Arrival::default();
+    let mut arrival = Arrival::new(carrier.clocks());
+    let mut meter = EdgeMeter::new(arrival.clocks != Clocks::Apart);
     while !process.stop.requested() {
         match link.receive()? {
             None => {
@@ -236,7 +253,8 @@ fn receive<W: Wire, C: Carrier>(
                 break;
             }
             Some(mut message) => {
-                if arrival.takes(message.header_mut(), process.restarts, carrier.one_clock()) {
+                if arrival.takes(message.header_mut(), process.restarts) {
+                    meter.record(message.header());
                     output.send(&message)?;
                 }
             }
@@ -245,19 +263,19 @@ fn receive<W: Wire, C: Carrier>(
             looked = Instant::now();
             carrier.check().map_err(Failure::run)?;
         }
-        pulse.progress(arrival.received, None, || Gauge {
-            dropped: output.dropped(),
-            missing: arrival.missing,
-            ..Gauge::default()
-        });
+        pulse.progress(arrival.received, None, || meter.take(output.dropped(), arrival.missing));
     }
     let report = StageReport {
         published: output.published(),
         last_seq: arrival.last_seq,
         dropped: output.dropped(),
         missing: arrival.missing,
-        latency: if carrier.one_clock() { arrival.latency.report() } else { Vec::new() },
-        details: serde_json::json!({ "before_joining": arrival.before_joining, "repeated": arrival.repeated }),
+        latency: arrival.latency.report(),
+        details: serde_json::json!({
+            "before_joining": arrival.before_joining,
+            "repeated": arrival.repeated,
+            "stamped_later_than_they_came": arrival.ahead,
+        }),
         ..StageReport::default()
     };
     process.stop.clear();
@@ -267,6 +285,7 @@ fn receive<W: Wire, C: Carrier>(
 
 /// What has come so far.
 struct Arrival {
+    clocks: Clocks,
     last_seq: u64,
     received: u64,
     /// Numbers that never came, since the first that did.
@@ -275,19 +294,19 @@ struct Arrival {
     before_joining: u64,
     /// Numbers that came again, or late.
     repeated: u64,
+    /// Samples that came before they were sent, by the clocks: these do not go together then.
+    ahead: u64,
     latency: LatencyMeter,
 }
 
-impl Default for Arrival {
-    fn default() -> Self {
-        let latency = LatencyMeter::new();
-        Self { last_seq: 0, received: 0, missing: 0, before_joining: 0, repeated: 0, latency }
-    }
-}
-
 impl Arrival {
+    fn new(clocks: Clocks) -> Self {
+        let latency = LatencyMeter::new();
+        Self { clocks, last_seq: 0, received: 0, missing: 0, before_joining: 0, repeated: 0, ahead: 0, latency }
+    }
+
     /// Takes note of a sample and makes it one of this graph; `false` for one that must not go on.
-    fn takes(&mut self, header: &mut Header, restarts: u32, one_clock: bool) -> bool {
+    fn takes(&mut self, header: &mut Header, restarts: u32) -> bool {
         if header.seq <= self.last_seq {
             self.repeated += 1;
             return false;
@@ -304,12 +323,19 @@ impl Arrival {
         self.last_seq = header.seq;
         self.received += 1;
         header.restarts += restarts;
-        if one_clock {
-            self.latency.record(header, monotonic_ns());
-        } else {
+        match self.clocks {
             // Stamps of another machine's clock say nothing here.
-            (header.hops, header.hop_ns) = (0, [0; MAX_HOPS]);
+            Clocks::Apart => {
+                (header.hops, header.hop_ns) = (0, [0; MAX_HOPS]);
+                return true;
+            }
+            Clocks::One => {}
+            Clocks::Synchronised => shift_hops(header, wall_ahead_ns().saturating_neg()),
         }
+        let now_ns = monotonic_ns();
+        let sent = (header.hops as usize).min(MAX_HOPS).checked_sub(1).and_then(|i| header.hop_ns.get(i));
+        self.ahead += u64::from(sent.is_some_and(|at| *at > now_ns));
+        self.latency.record(header, now_ns);
         true
     }
 }
@@ -324,10 +350,10 @@ mod tests {
 
     #[test]
     fn holes_are_counted_from_the_first_sample_on_and_flagged() {
-        let mut arrival = Arrival::default();
+        let mut arrival = Arrival::new(Clocks::Apart);
         let mut take = |seq: u64| {
             let mut h = header(seq);
-            let taken = arrival.takes(&mut h, 0, false);
+            let taken = arrival.takes(&mut h, 0);
             (taken, h.has(flag::GAP), h.hops, h.hop_ns[0])
         };
         // 1 to 4 were gone before the machines found each other; 7 is lost; 6 comes twice.
@@ -340,8 +366,26 @@ mod tests {
 
     #[test]
     fn with_one_clock_the_stamps_go_on() {
-        let mut arrival = Arrival::default();
+        let mut arrival = Arrival::new(Clocks::One);
         let mut h = header(1);
-        assert!(arrival.takes(&mut h, 3, true) && h.hops == 2 && h.restarts == 3 && !h.has(flag::GAP));
+        assert!(arrival.takes(&mut h, 3) && h.hops == 2 && h.restarts == 3 && !h.has(flag::GAP));
+        assert_eq!((h.hop_ns[1], arrival.ahead), (6, 0));
+    }
+
+    #[test]
+    fn stamps_cross_by_the_wall_clock() {
+        let mut arrival = Arrival::new(Clocks::Synchronised);
+        let now = monotonic_ns();
+        let mut h = header(1);
+        h.hop_ns = [now - 9_000_000, now - 5_000_000, 0, 0, 0, 0, 0, 0];
+        shift_hops(&mut h, wall_ahead_ns());
+        assert!(h.hop_ns[0] > 1_700_000_000_000_000_000 && h.hop_ns[2] == 0, "since 1970, hops alone");
+        assert!(arrival.takes(&mut h, 0));
+        assert!(h.hop_ns[1].abs_diff(now - 5_000_000) < 1_000_000 && h.hop_ns[1] - h.hop_ns[0] == 4_000_000);
+        // A sender whose clock is an hour fast: told, since such latencies mean nothing.
+        let mut h = header(2);
+        h.hop_ns[1] = now + 3_600_000_000_000;
+        shift_hops(&mut h, wall_ahead_ns());
+        assert!(arrival.takes(&mut h, 0) && arrival.ahead == 1);
     }
 }

@@ -18,6 +18,24 @@ impl Default for SpikeRule {
     }
 }
 
+impl SpikeRule {
+    /// For one signal: larger than `share` of its range (smaller ones are noise, or the corner of a trajectory) and than
+    /// three steps of its resolution (a resting encoder that flickers by a step has none).
+    pub fn of(x: &[f64], share: f64, threshold: f64) -> Self {
+        // The range must not be that of the spikes; ten thousand samples know it well enough.
+        let mut sorted: Vec<f64> = x.iter().copied().step_by(x.len() / 10_000 + 1).collect();
+        let range = quantile_in_place(&mut sorted, 0.995) - quantile_in_place(&mut sorted, 0.005);
+        let floor = (share * range).max(3.0 * resolution(x));
+        Self { threshold, floor: if floor.is_finite() { floor } else { 0.0 } }
+    }
+}
+
+/// Smallest step between neighbouring samples that is not zero; 0 for a constant signal.
+fn resolution(x: &[f64]) -> f64 {
+    let least = x.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|d| *d > 0.0).fold(f64::INFINITY, f64::min);
+    if least.is_finite() { least } else { 0.0 }
+}
+
 /// Half width [samples] of the stretch a spike is judged against.
 const NEIGHBOURHOOD: usize = 25;
 

@@ -24,6 +24,7 @@ mod signals;
 
 pub use mask::{Saturation, saturation};
 pub use prepared::{Prepared, Stretched, prepare};
+pub use signals::{SPIKE_SHARE_POSITION, SPIKE_SHARE_TORQUE};
 
 use lacuna_estimation::filter::ZeroPhase;
 use lacuna_interfaces::{BadInput, Recording, Repair, RobotFile};

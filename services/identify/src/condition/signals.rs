@@ -4,13 +4,16 @@ use super::Plan;
 use lacuna_estimation::filter::{
     Interpolation, SpikeRule, median_step, remove_spikes, resample, segments, unwrap_angles,
 };
-use lacuna_estimation::stats::quantile_in_place;
 use lacuna_interfaces::{BadInput, Recording, Repair, RepairKind, RobotFile};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use std::ops::Range;
 
+/// Share of a position's range below which nothing is a spike.
+pub const SPIKE_SHARE_POSITION: f64 = 1e-4;
+/// The same of a torque.
+pub const SPIKE_SHARE_TORQUE: f64 = 1e-2;
 /// A step longer than this many median steps is a gap.
 const GAP_FACTOR: f64 = 10.0;
 /// Share of the median step by which sampling may wander before it counts as irregular.
@@ -47,10 +50,13 @@ pub(super) fn repair(recording: &mut Recording, plan: &Plan) -> Vec<Repair> {
     let found_q: Vec<(usize, usize)> = recording
         .q_rad
         .par_iter_mut()
-        .map(|column| (unwrap_angles(column, TAU), despike(column, 1e-4, plan.spike_threshold)))
+        .map(|column| (unwrap_angles(column, TAU), despike(column, SPIKE_SHARE_POSITION, plan.spike_threshold)))
         .collect();
-    let found_tau: Vec<usize> =
-        recording.tau_nm.par_iter_mut().map(|column| despike(column, 1e-2, plan.spike_threshold)).collect();
+    let found_tau: Vec<usize> = recording
+        .tau_nm
+        .par_iter_mut()
+        .map(|column| despike(column, SPIKE_SHARE_TORQUE, plan.spike_threshold))
+        .collect();
     let mut repairs = Vec::new();
     let mut note = |kind, signal: String, count: usize| {
         if count > 0 {
@@ -67,24 +73,13 @@ pub(super) fn repair(recording: &mut Recording, plan: &Plan) -> Vec<Repair> {
     repairs
 }
 
-/// Removes spikes larger than `share` of the signal's range (smaller ones are noise, or the corner of a trajectory)
-/// and than three steps of its resolution (a resting encoder that flickers by a step has none).
+/// Removes spikes larger than `share` of the signal's range.
 fn despike(column: &mut [f64], share: f64, threshold: f64) -> usize {
     if threshold == 0.0 {
         return 0;
     }
-    // The range must not be that of the spikes; ten thousand samples know it well enough.
-    let mut sorted: Vec<f64> = column.iter().copied().step_by(column.len() / 10_000 + 1).collect();
-    let range = quantile_in_place(&mut sorted, 0.995) - quantile_in_place(&mut sorted, 0.005);
-    let floor = (share * range).max(3.0 * resolution(column));
-    let rule = SpikeRule { threshold, floor: if floor.is_finite() { floor } else { 0.0 } };
+    let rule = SpikeRule::of(column, share, threshold);
     remove_spikes(column, &rule).len()
-}
-
-/// Smallest step between neighbouring samples that is not zero; 0 for a constant signal.
-fn resolution(x: &[f64]) -> f64 {
-    let least = x.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|d| *d > 0.0).fold(f64::INFINITY, f64::min);
-    if least.is_finite() { least } else { 0.0 }
 }
 
 /// How a recording is sampled.

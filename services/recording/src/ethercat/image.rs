@@ -131,6 +131,8 @@ pub struct Cycles {
     last_ns: Option<i64>,
     missing: u64,
     short: u64,
+    /// Of `short`, what a sample was flagged for.
+    told: u64,
     velocity: bool,
     status: bool,
 }
@@ -190,6 +192,7 @@ impl Cycles {
             last_ns: None,
             missing: 0,
             short: 0,
+            told: 0,
             velocity,
             status,
         })
@@ -324,6 +327,10 @@ impl Cycles {
                 self.missing += missed.unsigned_abs();
                 m.header.flags |= flag::GAP;
             }
+        }
+        // A cycle was left out, whether or not its length is known.
+        if std::mem::replace(&mut self.told, self.short) < self.short {
+            m.header.flags |= flag::GAP;
         }
         self.last_ns = Some(self.began_ns);
     }

@@ -5,13 +5,13 @@
 //! | `t` | time [s]; exact to the nanosecond as written |
 //! | `q1`…`qn` or `q_<joint>` | positions [rad] |
 //! | `tau1`…`taun` or `tau_<joint>` | torques, in the robot file's `torque_unit` |
-//! | those named in the robot file's `[columns]` | temperature, drive enabled, link-side position and torque |
+//! | those named in the robot file's `[columns]` | time, positions and torques in units of their own; temperature, drive enabled, link-side position and torque, commanded position |
 //! | `temp1`…`tempn` | temperatures [°C], unless `[columns]` names others |
 //! | `x_*` | further signals; an empty cell or `nan` is NaN |
 //! | any other | not read, but listed |
 //!
 //! The delimiter is `,`, `;` or a tab, whichever the header holds. Names may be padded or quoted; a byte order
-//! mark, CRLF, empty lines and trailing delimiters are accepted. A last row without a newline that is short
+//! mark, CRLF, empty lines and trailing delimiters are accepted; where the delimiter is not a comma, a decimal comma, too. A last row without a newline that is short
 //! or ends in half a number was cut off in mid-write: dropped and counted. If what remains of its last number
 //! still reads as a number it cannot be told from a whole row, and is kept.
 //!
@@ -23,6 +23,7 @@ use super::{Format, Request};
 use crate::condition::{MAX_TIME_S, repair};
 use crate::files::open_error;
 use crate::sample::{About, RawReader, Sample};
+use lacuna_interfaces::columns::TimeUnit;
 use lacuna_interfaces::{BadInput, Joints, MAX_JOINTS, Repair, RepairKind, RobotFile, flag};
 use std::fs::File;
 use std::io::Read;
@@ -50,13 +51,28 @@ struct Columns {
     /// All header names, for messages; trailing empty ones left out.
     names: Vec<String>,
     t: usize,
-    q: Vec<usize>,
-    tau: Vec<usize>,
-    temperature: Vec<usize>,
-    link_q: Vec<usize>,
-    link_tau: Vec<usize>,
+    time_unit: TimeUnit,
+    q: Vec<Scaled>,
+    tau: Vec<Scaled>,
+    temperature: Vec<Scaled>,
+    link_q: Vec<Scaled>,
+    link_tau: Vec<Scaled>,
+    reference: Vec<Scaled>,
     enabled: Option<usize>,
-    extra: Vec<usize>,
+    extra: Vec<Scaled>,
+}
+
+/// A column, and what one of its unit is in ours.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Scaled {
+    column: usize,
+    factor: f64,
+}
+
+impl Scaled {
+    fn plain(column: usize) -> Self {
+        Self { column, factor: 1.0 }
+    }
 }
 
 impl<R: Read + Send> CsvReader<R> {
@@ -115,67 +131,116 @@ impl Columns {
         }
         let mut found = Self { names, ..Self::default() };
         found.signals(robot)?;
-        let listed = |list: &[String]| list.iter().map(|name| found.named(name)).collect::<Result<Vec<_>, _>>();
         let columns = &robot.columns;
+        let listed = |list: &[String], factor: &dyn Fn(usize) -> f64| {
+            let scaled = list.iter().enumerate().map(|(j, name)| Ok((j, found.named(name)?)));
+            scaled
+                .map(|found| found.map(|(j, column)| Scaled { column, factor: factor(j) }))
+                .collect::<Result<Vec<_>, BadInput>>()
+        };
         let temperature = if columns.temperature.is_empty() {
             // By default all joints or none: a lone temp1 on a three-joint robot is of an unknown joint.
-            let all: Option<Vec<_>> = (1..=robot.joint_count()).map(|j| found.at(&format!("temp{j}"))).collect();
+            let all: Option<Vec<_>> =
+                (1..=robot.joint_count()).map(|j| found.at(&format!("temp{j}")).map(Scaled::plain)).collect();
             all.unwrap_or_default()
         } else {
-            listed(&columns.temperature)?
+            listed(&columns.temperature, &|_| 1.0)?
         };
-        let link_q = listed(&columns.link_position)?;
-        let link_tau = listed(&columns.link_torque)?;
+        let link_q = listed(&columns.link_position, &|j| columns.unit_factor(j))?;
+        let link_tau = listed(&columns.link_torque, &|_| 1.0)?;
+        // Few recordings carry commands; what needs them says that they are missing.
+        let reference = columns
+            .reference
+            .iter()
+            .enumerate()
+            .filter_map(|(j, name)| found.at(name).map(|column| Scaled { column, factor: columns.unit_factor(j) }));
+        let reference = reference.collect();
         let enabled = columns.enabled.as_deref().map(|name| found.named(name)).transpose()?;
         found.temperature = temperature;
         found.link_q = link_q;
         found.link_tau = link_tau;
+        found.reference = reference;
         found.enabled = enabled;
         let about = found.about(extra);
         Ok((found, about))
     }
 
-    /// Finds time, positions and torques.
+    /// Finds time, positions and torques: the columns that the robot file names, else those of the usual names, which
+    /// are in SI units whatever the robot file says of others.
     fn signals(&mut self, robot: &RobotFile) -> Result<(), BadInput> {
+        let columns = &robot.columns;
         let mut missing = Vec::new();
-        match self.at("t") {
-            Some(t) => self.t = t,
-            None => missing.push("t".to_owned()),
+        match (columns.time.as_deref().and_then(|name| self.at(name)), self.at("t")) {
+            (Some(t), _) => (self.t, self.time_unit) = (t, columns.time_unit),
+            (None, Some(t)) => self.t = t,
+            (None, None) => missing.push(columns.time.clone().unwrap_or_else(|| "t".to_owned())),
         }
-        for (prefix, into) in [("q", true), ("tau", false)] {
-            let mut list = Vec::new();
-            for (j, joint) in robot.joints.iter().enumerate() {
-                let (by_number, by_name) = (format!("{prefix}{}", j + 1), format!("{prefix}_{joint}"));
-                match (self.at(&by_number), self.at(&by_name)) {
-                    (Some(_), Some(_)) => {
-                        return Err(BadInput::new(format!(
-                            "found both \"{by_number}\" and \"{by_name}\"; expected one column for joint {joint}"
-                        )));
-                    }
-                    (Some(i), None) | (None, Some(i)) => list.push(i),
-                    (None, None) => missing.push(by_number),
-                }
-            }
-            let beyond = format!("{prefix}{}", robot.joint_count() + 1);
-            if missing.is_empty() && self.at(&beyond).is_some() {
-                return Err(BadInput::new(format!(
-                    "found column \"{beyond}\"; expected {} joints, as many as robot \"{}\" has",
-                    robot.joint_count(),
-                    robot.name
-                )));
-            }
-            *(if into { &mut self.q } else { &mut self.tau }) = list;
-        }
+        self.q = match self.mapped(&columns.position, &|j| columns.position_factor(j)) {
+            Some(list) => list,
+            None => self.usual("q", robot, &columns.position, &mut missing)?,
+        };
+        self.tau = match self.mapped(&columns.torque, &|j| columns.torque_factor(j)) {
+            Some(list) => list,
+            None => self.usual("tau", robot, &columns.torque, &mut missing)?,
+        };
         if missing.is_empty() {
             return Ok(());
         }
         Err(BadInput::new(format!(
-            "found columns {}; expected also {} for robot \"{}\" with joints {}",
+            "found columns {}; expected also {} for robot \"{}\" with joints {} (its [columns] may name others)",
             shortened(&self.names),
             missing.join(", "),
             robot.name,
             robot.joints.join(", ")
         )))
+    }
+
+    /// The columns that the robot file names, if the file has them all.
+    fn mapped(&self, names: &[String], factor: &dyn Fn(usize) -> f64) -> Option<Vec<Scaled>> {
+        if names.is_empty() {
+            return None;
+        }
+        let one = |(j, name): (usize, &String)| Some(Scaled { column: self.at(name)?, factor: factor(j) });
+        names.iter().enumerate().map(one).collect()
+    }
+
+    /// The columns of the usual names: by number, or by the joint's name.
+    fn usual(
+        &self,
+        prefix: &str,
+        robot: &RobotFile,
+        instead_of: &[String],
+        missing: &mut Vec<String>,
+    ) -> Result<Vec<Scaled>, BadInput> {
+        let mut list = Vec::new();
+        let mut absent = Vec::new();
+        for (j, joint) in robot.joints.iter().enumerate() {
+            let by_number = format!("{prefix}{}", j + 1);
+            let alias = robot.columns.joints.get(j).map(|name| format!("{prefix}_{name}"));
+            let mut candidates = vec![by_number.clone(), format!("{prefix}_{joint}")];
+            candidates.extend(alias.filter(|a| !candidates.contains(a)));
+            let there: Vec<&String> = candidates.iter().filter(|name| self.at(name).is_some()).collect();
+            match there.as_slice() {
+                [one] => list.extend(self.at(one).map(Scaled::plain)),
+                [] => absent.push(instead_of.get(j).cloned().unwrap_or(by_number)),
+                [a, b, ..] => {
+                    return Err(BadInput::new(format!(
+                        "found both \"{a}\" and \"{b}\"; expected one column for joint {joint}"
+                    )));
+                }
+            }
+        }
+        let beyond = format!("{prefix}{}", robot.joint_count() + 1);
+        if missing.is_empty() && absent.is_empty() && self.at(&beyond).is_some() {
+            return Err(BadInput::new(format!(
+                "found column \"{beyond}\"; expected {} joints, as many as robot \"{}\" has",
+                robot.joint_count(),
+                robot.name
+            )));
+        }
+        // Of the columns that the robot file names, those that are there are not missing.
+        missing.extend(absent.into_iter().filter(|name| self.at(name).is_none()));
+        Ok(list)
     }
 
     fn at(&self, name: &str) -> Option<usize> {
@@ -193,13 +258,14 @@ impl Columns {
     fn about(&mut self, extra: bool) -> About {
         let mut about = About { format: FORMAT.name, ..About::default() };
         for (i, name) in self.names.iter().enumerate() {
-            let signal = i == self.t || self.q.contains(&i) || self.tau.contains(&i);
-            let special = [&self.temperature, &self.link_q, &self.link_tau].iter().any(|list| list.contains(&i))
-                || self.enabled == Some(i);
-            if !signal && (special || name.starts_with("x_")) {
+            let of = |lists: &[&[Scaled]]| lists.iter().flat_map(|list| list.iter()).find(|s| s.column == i).copied();
+            let signal = i == self.t || of(&[&self.q, &self.tau]).is_some();
+            let special = of(&[&self.temperature, &self.link_q, &self.link_tau, &self.reference])
+                .or_else(|| (self.enabled == Some(i) || name.starts_with("x_")).then(|| Scaled::plain(i)));
+            if let (false, Some(column)) = (signal, special) {
                 if extra {
                     about.extra_names.push(name.clone());
-                    self.extra.push(i);
+                    self.extra.push(column);
                 }
             } else if !signal {
                 about.ignored.push(name.clone());
@@ -215,7 +281,8 @@ impl Columns {
         }
         let m = &mut out.measured;
         let t = self.field(row, self.t);
-        m.header.stamp_ns = parse_ns(t).ok_or_else(|| self.not_a(row, self.t, "a time in seconds"))?;
+        m.header.stamp_ns = parse_ns(t, self.time_unit.decimals())
+            .ok_or_else(|| self.not_a(row, self.t, time_words(self.time_unit)))?;
         self.list(row, &self.q, &mut m.q_rad)?;
         self.list(row, &self.tau, &mut m.tau_nm)?;
         for (from, to) in [
@@ -232,17 +299,17 @@ impl Columns {
             m.header.flags |= flag::DRIVE_OFF;
         }
         out.extra.clear();
-        for &i in &self.extra {
-            let field = self.field(row, i);
+        for s in &self.extra {
+            let field = self.field(row, s.column);
             let value = if field.is_empty() { Some(f64::NAN) } else { parse_number(field) };
-            out.extra.push(value.ok_or_else(|| self.not_a(row, i, "a number"))?);
+            out.extra.push(s.factor * value.ok_or_else(|| self.not_a(row, s.column, "a number"))?);
         }
         Ok(())
     }
 
-    fn list(&self, row: &Row, from: &[usize], to: &mut Joints) -> Result<(), BadInput> {
-        for (&i, slot) in from.iter().zip(to) {
-            *slot = self.number(row, i)?;
+    fn list(&self, row: &Row, from: &[Scaled], to: &mut Joints) -> Result<(), BadInput> {
+        for (s, slot) in from.iter().zip(to) {
+            *slot = s.factor * self.number(row, s.column)?;
         }
         Ok(())
     }
@@ -271,9 +338,20 @@ fn shortened(names: &[String]) -> String {
     if rest > 0 { format!("{list} and {rest} more") } else { list }
 }
 
-/// Seconds to nanoseconds without passing through f64, which would lose the nanoseconds of times since 1970.
-/// Numbers with an exponent do pass through it.
-fn parse_ns(field: &[u8]) -> Option<i64> {
+fn time_words(unit: TimeUnit) -> &'static str {
+    match unit {
+        TimeUnit::S => "a time in seconds",
+        TimeUnit::Ms => "a time in milliseconds",
+        TimeUnit::Us => "a time in microseconds",
+        TimeUnit::Ns => "a time in nanoseconds",
+    }
+}
+
+/// A time to nanoseconds, of which its unit has `decimals` places, without passing through f64, which would lose the
+/// nanoseconds of times since 1970. Numbers with an exponent do pass through it.
+fn parse_ns(field: &[u8], decimals: u32) -> Option<i64> {
+    const LATEST_NS: u64 = (MAX_TIME_S as u64 + 1) * 1_000_000_000;
+    let places = decimals as usize;
     let (negative, digits) = match field {
         [b'-', rest @ ..] => (true, rest),
         [b'+', rest @ ..] => (false, rest),
@@ -283,14 +361,15 @@ fn parse_ns(field: &[u8]) -> Option<i64> {
     let (whole, part) = digits.split_at(dot);
     let part = part.get(1..).unwrap_or(&[]);
     let plain = whole.len() + part.len() > 0 && whole.iter().chain(part).all(u8::is_ascii_digit);
-    if !plain || whole.len() > 10 {
-        // Out-of-range seconds saturate here and are then refused as implausible.
-        return parse_number(field).filter(|t| t.is_finite()).map(|t| (t * 1e9).round() as i64);
+    if !plain || whole.len() + places > 19 {
+        // Out-of-range times saturate here and are then refused as implausible.
+        let value = parse_number(field).filter(|t| t.is_finite());
+        return value.map(|t| (t * 10_f64.powi(decimals as i32)).round() as i64);
     }
-    let number = |list: &[u8]| list.iter().fold(0_i64, |n, b| n * 10 + i64::from(b - b'0'));
-    let seconds = number(whole).min(MAX_TIME_S + 1);
-    let nanos = (0..9).fold(0_i64, |n, k| n * 10 + part.get(k).map_or(0, |b| i64::from(b - b'0')));
-    let round_up = i64::from(part.get(9).is_some_and(|&b| b >= b'5'));
-    let ns = seconds * 1_000_000_000 + nanos + round_up;
+    // At most nineteen digits: they fit.
+    let places = (0..places).map(|k| part.get(k).copied().unwrap_or(b'0'));
+    let ns = whole.iter().copied().chain(places).fold(0_u64, |n, b| n * 10 + u64::from(b - b'0'));
+    let round_up = u64::from(part.get(decimals as usize).is_some_and(|&b| b >= b'5'));
+    let ns = (ns + round_up).min(LATEST_NS) as i64;
     Some(if negative { -ns } else { ns })
 }

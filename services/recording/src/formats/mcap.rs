@@ -2,7 +2,7 @@
 //!
 //! - **Topic**: the one asked for; else the file's only JointState topic; else `/measured`; else
 //!   `/joint_states`; else an error that lists them.
-//! - **Joints** are matched by name, in any order. A message may name more joints than the robot file. One that
+//! - **Joints** are matched by name (the robot file's, or those of its `columns.joints`), in any order. A message may name more joints than the robot file. One that
 //!   names none of them (a gripper on the same topic) is passed over; one that names only some is an error.
 //! - **Time** is the header stamp; with [`TimeSource::Auto`] the log time if the first message's header stamp
 //!   is 0 and its log time is not.
@@ -14,7 +14,7 @@ use super::{Format, Request};
 use crate::condition::repair;
 use crate::container::{ChannelRecord, Item, Scan, channels_of};
 use crate::ros::cdr::Cursor;
-use crate::ros::joint_state::{JointState, Matching, Order};
+use crate::ros::joint_state::{JointState, Matching, Names, Order};
 use crate::ros::schema;
 use crate::sample::{About, RawReader, Sample};
 use crate::{ReadOptions, TimeSource};
@@ -145,7 +145,7 @@ impl McapReader {
             time: options.time,
             by_log_time: options.time == TimeSource::Log,
             columns: Vec::new(),
-            matching: Matching::new(robot.joints.clone()),
+            matching: Matching::new(Names::of(robot)),
             detail: Detail::default(),
             first: None,
             message: 0,
@@ -163,7 +163,7 @@ impl McapReader {
                 "found joints {} on {}; expected {}, as robot \"{}\" names them",
                 new.matching.passed.join(", "),
                 new.topics.topic,
-                robot.joints.join(", "),
+                new.matching.joints.expected().join(", "),
                 robot.name
             )));
         }
@@ -290,11 +290,11 @@ struct Detail {
 
 impl Detail {
     /// Takes the next message; one that does not decode counts as none.
-    fn read(&mut self, message: &[u8], joints: &[String]) {
+    fn read(&mut self, message: &[u8], joints: &Names) {
         self.stamp_ns = self.parse(message, joints);
     }
 
-    fn parse(&mut self, message: &[u8], joints: &[String]) -> Option<i64> {
+    fn parse(&mut self, message: &[u8], joints: &Names) -> Option<i64> {
         let mut cursor = Cursor::new(message)?;
         let stamp_ns = cursor.header()?;
         let names = cursor.strings()?;

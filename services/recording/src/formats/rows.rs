@@ -37,6 +37,10 @@ impl Row {
         let Some(line) = read else { return Ok(false) };
         self.bytes.clear();
         self.bytes.extend_from_slice(line);
+        // Below a header without commas a comma is a decimal one; with a point beside it, it is neither.
+        if self.delimiter.is_some_and(|d| d != b',') && memchr::memchr(b'.', line).is_none() {
+            self.bytes.iter_mut().filter(|b| **b == b',').for_each(|b| *b = b'.');
+        }
         let delimiter = *self.delimiter.get_or_insert_with(|| {
             let choices = [b',', b';', b'\t'];
             choices.into_iter().find(|b| line.contains(b)).unwrap_or(b',')

@@ -5,12 +5,14 @@
 //! message: machines whose messages are laid out otherwise are not connected.
 
 use super::{Envelope, Factory, Room, open_service, service_name, stamp_hop};
+use crate::clock::wall_ahead_ns;
 use crate::domain::Domain;
 use crate::process::Failure;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
-use lacuna_interfaces::Wire;
+use lacuna_interfaces::wire::MAX_HOPS;
+use lacuna_interfaces::{Header, Wire};
 
 /// Messages that may wait for the tunnel: half a second at 4 kHz.
 const BUFFER: usize = 2048;
@@ -24,6 +26,12 @@ fn open<W: Wire>(domain: &Domain, topic: &str) -> Result<Factory<W>, Failure> {
     let room = Room { overflow: false, buffer: BUFFER, writers: 4, readers: 4, nodes: 8 };
     open_service(domain, &service_name(&link_topic(topic))?, &room)
         .map_err(|e| Failure::run(format!("link \"{topic}\": cannot be opened on the bus: {e:?}")))
+}
+
+/// Sets the stamps of all hops ahead.
+pub(crate) fn shift_hops(header: &mut Header, by_ns: i64) {
+    let hops = (header.hops as usize).min(MAX_HOPS);
+    header.hop_ns.iter_mut().take(hops).for_each(|at| *at = at.saturating_add_signed(by_ns));
 }
 
 /// The end that the stream goes into.
@@ -54,14 +62,19 @@ impl<W: Wire> LinkWriter<W> {
         Ok(Self { topic: topic.to_owned(), port, _factory: factory, sent: 0, dropped: 0 })
     }
 
-    /// Hands a message to the tunnel with the stamp of this hop; never waits.
+    /// Hands a message to the tunnel with the stamp of this hop; never waits. With `by_wall` all stamps are those of the
+    /// wall clock.
     ///
     /// # Errors
     /// [`Failure`] if the bus fails.
-    pub fn send(&mut self, message: &W) -> Result<(), Failure> {
+    pub fn send(&mut self, message: &W, by_wall: bool) -> Result<(), Failure> {
         let fail = |e: &dyn std::fmt::Debug| Failure::run(format!("link \"{}\": cannot send: {e:?}", self.topic));
         let mut sample = self.port.loan_uninit().map_err(|e| fail(&e))?.write_payload(Envelope(*message));
-        stamp_hop(sample.payload_mut().0.header_mut(), self.dropped);
+        let header = sample.payload_mut().0.header_mut();
+        stamp_hop(header, self.dropped);
+        if by_wall {
+            shift_hops(header, wall_ahead_ns());
+        }
         match sample.send().map_err(|e| fail(&e))? {
             0 => self.dropped += 1,
             _ => self.sent += 1,

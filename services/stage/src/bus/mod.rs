@@ -11,6 +11,7 @@ mod output;
 mod tap;
 
 pub use input::{Input, Received};
+pub(crate) use link::shift_hops;
 pub use link::{LinkReader, LinkWriter, link_topic};
 pub use output::Output;
 pub use tap::{TapInput, tap_type};

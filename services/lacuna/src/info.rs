@@ -354,10 +354,13 @@ fn contents_words(r: &Contents) -> String {
     };
     for j in r.joints.iter().filter(|j| j.q_spikes + j.tau_spikes > 0) {
         let some = [(j.q_spikes, "position"), (j.tau_spikes, "torque")].into_iter().filter(|(n, _)| *n > 0);
-        let list: Vec<String> =
-            some.map(|(n, signal)| format!("{} of {signal}", words::count(n as usize, "spike"))).collect();
-        let _ =
-            writeln!(text, "{}: {} of a single sample; identify and diagnose replace them", j.joint, list.join(", "));
+        let list: Vec<String> = some.map(|(n, signal)| format!("{n} of {signal}")).collect();
+        let _ = writeln!(
+            text,
+            "{}: single-sample spikes, {}; left as they are, identify and diagnose replace them",
+            j.joint,
+            list.join(", ")
+        );
     }
     if let Some(doubt) = doubt(r) {
         let _ = writeln!(text, "{doubt}");

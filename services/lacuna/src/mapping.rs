@@ -18,10 +18,7 @@ pub fn mapping(table: &Table) -> Vec<String> {
     };
     let (positions, torques) = (signals(is_position), signals(is_torque));
     let list = |columns: &[&Column]| columns.iter().map(|c| quoted(&c.name)).collect::<Vec<_>>().join(", ");
-    let largest = |columns: &[&Column]| {
-        columns.iter().filter_map(|c| c.range).fold(0.0_f64, |most, (low, high)| most.max(low.abs()).max(high.abs()))
-    };
-    let unit = position_unit(largest(&positions));
+    let unit = position_unit(usual_reach(&positions));
     if !positions.is_empty() && (!usual("q") || unit.is_some()) {
         lines.push(format!("position = [{}]", list(&positions)));
         lines.extend(unit);
@@ -33,6 +30,14 @@ pub fn mapping(table: &Table) -> Vec<String> {
         }
     }
     lines
+}
+
+/// What most of the columns reach: one of them may have a spike.
+fn usual_reach(columns: &[&Column]) -> f64 {
+    let mut reaches: Vec<f64> =
+        columns.iter().filter_map(|c| c.range).map(|(low, high)| low.abs().max(high.abs())).collect();
+    reaches.sort_by(f64::total_cmp);
+    reaches.get(reaches.len().saturating_sub(1) / 2).copied().unwrap_or(0.0)
 }
 
 /// TOML, whatever the name holds.
@@ -72,16 +77,16 @@ fn time_lines(column: &Column) -> Vec<String> {
     lines
 }
 
-/// A line, if values up to `largest` are hardly radians.
-fn position_unit(largest: f64) -> Option<String> {
-    let shown = significant(largest, 4);
-    if largest > 1e4 {
+/// A line, if values up to `reach` are hardly radians.
+fn position_unit(reach: f64) -> Option<String> {
+    let shown = significant(reach, 4);
+    if reach > 1e4 {
         return Some(format!(
             "# they reach {shown}: encoder counts? then position_scale = 2 pi / counts per joint turn"
         ));
     }
     // Two turns in radians are 12.6; a joint that turns on and on may have more.
-    (largest > 4.0 * std::f64::consts::PI).then(|| format!("position_unit = \"deg\"  # they reach {shown}"))
+    (reach > 4.0 * std::f64::consts::PI).then(|| format!("position_unit = \"deg\"  # they reach {shown}"))
 }
 
 fn is_of_others(name: &str) -> bool {
@@ -101,4 +106,52 @@ fn is_torque(name: &str) -> bool {
 
 fn is_current(name: &str) -> bool {
     name.contains("current") || name.starts_with("iq") || name.contains("_iq")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lines(text: &str) -> Vec<String> {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.csv");
+        std::fs::write(&path, text).unwrap();
+        match lacuna_recording::survey(&path).unwrap() {
+            Some(lacuna_recording::Survey::Table(table)) => mapping(&table),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_table_of_others_is_guessed_at_and_the_guess_reads_it() {
+        let text =
+            "Timestamp;Axis1.ActPos;Axis1.SetPos;Axis1.Trq [Nm]\n1000;-170,5;0;1\n1001;-171;0;2\n1002;-172;0;3\n";
+        let found = lines(text);
+        let expected = [
+            "time = \"Timestamp\"",
+            "time_unit = \"ms\"  # its median step is 1.000",
+            "position = [\"Axis1.ActPos\"]",
+            "position_unit = \"deg\"  # they reach 172.0",
+            "torque = [\"Axis1.Trq [Nm]\"]",
+        ];
+        assert_eq!(found, expected);
+        let robot =
+            format!("kind = \"serial\"\nname = \"r\"\njoints = [\"a\"]\n[[dh]]\n[columns]\n{}\n", found.join("\n"));
+        let robot = lacuna_interfaces::RobotFile::parse(&robot).unwrap();
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.csv");
+        std::fs::write(&path, text).unwrap();
+        let read = lacuna_recording::read_all(&path, &robot).unwrap();
+        assert_eq!((read.t_s[2], read.tau_nm[0][2]), (1.002, 3.0));
+        assert!((read.q_rad[0][0].to_degrees() + 170.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn usual_names_need_no_line() {
+        assert!(lines("t,q1,q2,tau1,tau2\n0,1,2,3,4\n0.001,1,2,3,4\n0.002,1,2,3,4\n").is_empty());
+        // One spike is no unit; a motor map without a time has none.
+        assert!(lines("t,q1,q2,tau1,tau2\n0,1,2,3,4\n0.001,1,55,3,4\n0.002,1,2,3,4\n").is_empty());
+        assert!(lines("q1,tau1\n0,1\n0.1,2\n0.2,3\n0.3,1\n").is_empty());
+        assert_eq!(lines("t,q1,tau1\n0,170,3\n0.001,160,3\n").len(), 2);
+    }
 }

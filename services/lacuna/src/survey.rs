@@ -1,6 +1,7 @@
 //! What `lacuna info` says of a file without knowing its robot: what is in it, and what it would need.
 
 use crate::mapping::mapping;
+use crate::words;
 use lacuna_recording::{Survey, Table};
 use lacuna_report::number::significant;
 use serde::Serialize;
@@ -161,7 +162,10 @@ fn needs(columns: &[String], mapping: &[String]) -> Vec<String> {
     if q != tau && q > 0 && tau > 0 {
         all.push(format!("as many torques as positions (found {tau} and {q})"));
     }
-    let joints = if q > 0 { format!(" with {q} joints") } else { String::new() };
+    if !columns.is_empty() && columns.iter().all(|c| c.parse::<f64>().is_ok()) {
+        all.push("a header line with the columns' names; the first row holds numbers".to_owned());
+    }
+    let joints = if q > 0 { format!(" with {}", words::count(q, "joint")) } else { String::new() };
     all.push(format!("a robot file{joints}: --robot FILE shows its signals"));
     all
 }
@@ -214,7 +218,8 @@ pub fn survey_words(s: &Surveyed) -> String {
 
 fn columns_words(columns: &[Column]) -> String {
     let mut text = String::new();
-    let width = columns.iter().map(|c| c.name.chars().count()).max().unwrap_or(0).max(6);
+    let short = |name: &str| name.chars().take(32).collect::<String>();
+    let width = columns.iter().map(|c| short(&c.name).chars().count()).max().unwrap_or(0).max(6);
     let _ = writeln!(text, "{:width$}  {:>26}  No number", "Column", "Range");
     for c in columns {
         let range = match (c.min, c.max) {
@@ -222,7 +227,7 @@ fn columns_words(columns: &[Column]) -> String {
             _ => "–".to_owned(),
         };
         let none = if c.not_numbers > 0 { format!("{:>9}", c.not_numbers) } else { String::new() };
-        let _ = writeln!(text, "{}", format!("{:width$}  {range:>26}  {none}", c.name).trim_end());
+        let _ = writeln!(text, "{}", format!("{:width$}  {range:>26}  {none}", short(&c.name)).trim_end());
     }
     text
 }

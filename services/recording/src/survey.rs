@@ -30,7 +30,8 @@ pub struct Table {
     pub columns: Vec<Column>,
     /// Rows below the header.
     pub rows: u64,
-    /// Index of the column that looks like the time: one named so, else the first if it never falls.
+    /// Index of the column that looks like the time: one named so, else the first if it never falls and is not named as a
+    /// position or torque.
     pub time: Option<usize>,
 }
 
@@ -161,8 +162,12 @@ fn table(path: &Path) -> Result<Table, BadInput> {
         }
     }
     let time = columns.iter().position(|c| is_time(&c.name));
-    let time = time.or_else(|| columns.first().filter(|c| c.numbers > 2 && c.steps.falling == 0).map(|_| 0));
+    let time = time.or_else(|| columns.first().filter(|c| never_falls(c)).map(|_| 0));
     Ok(Table { columns, rows, time })
+}
+
+fn never_falls(c: &Column) -> bool {
+    c.numbers > 2 && c.steps.falling == 0 && !c.name.starts_with('q') && !c.name.starts_with("tau")
 }
 
 fn is_time(name: &str) -> bool {

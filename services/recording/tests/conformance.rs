@@ -257,7 +257,8 @@ fn joints_of_another_name_are_found() {
     assert!(e.contains("found joints shoulder, elbow; expected also hand"), "{e}");
     let path = dir.path().join("a.csv");
     std::fs::write(&path, "t,q_elbow,q_shoulder,tau_shoulder,tau_elbow\n0,1,2,3,4\n").unwrap();
-    let table = RobotFile::parse(&text.replace("temperature", "#").replace("link_", "#").replace("enabled", "#")).unwrap();
+    let table =
+        RobotFile::parse(&text.replace("temperature", "#").replace("link_", "#").replace("enabled", "#")).unwrap();
     let read = read_all(&path, &table).unwrap();
     assert_eq!((read.q_rad[0][0], read.q_rad[1][0], read.tau_nm[1][0]), (2.0, 1.0, 4.0));
 }

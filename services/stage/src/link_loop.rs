@@ -174,6 +174,8 @@ fn send<W: Wire, C: Carrier>(
         let ended = process.ended(topic);
         match input.receive()? {
             None if ended => break,
+            // A bell would not ring for what waits here.
+            None if link.flush_if_due()? => std::thread::sleep(POLL),
             None => wake.wait(),
             Some(Received::End) => break,
             Some(Received::Sample { sample, missing }) => {
@@ -203,6 +205,7 @@ fn send<W: Wire, C: Carrier>(
             ..Gauge::default()
         });
     }
+    link.flush()?;
     let report = StageReport {
         received: [(topic.to_owned(), input.received())].into(),
         dropped: link.dropped,
@@ -221,6 +224,7 @@ fn farewell<W: Wire>(link: &mut LinkWriter<W>, last: Option<Header>) -> Result<(
     let end = end_of_stream::<W>(last.map_or(0, |h| h.seq) + 1, last.map_or(0, |h| h.joints));
     for _ in 0..FAREWELLS {
         link.send(&end, false)?;
+        link.flush()?;
         std::thread::sleep(BETWEEN_FAREWELLS);
     }
     Ok(())
@@ -232,7 +236,7 @@ fn receive<W: Wire, C: Carrier>(
     topic: &str,
     mut carrier: C,
 ) -> Result<StageReport, Failure> {
-    let link = LinkReader::<W>::open(domain, topic)?;
+    let mut link = LinkReader::<W>::open(domain, topic)?;
     let mut output = Output::<W>::open(domain, &process.graph, topic, &process.stop)?;
     carrier.start().map_err(Failure::run)?;
     Event::Ready.emit();

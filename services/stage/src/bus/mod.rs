@@ -21,6 +21,7 @@ use crate::domain::Domain;
 use crate::process::{Failure, Stop};
 use iceoryx2::port::listener::Listener;
 use iceoryx2::prelude::*;
+use iceoryx2::service::builder::publish_subscribe as publish_subscribe_builder;
 use iceoryx2::service::builder::publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError};
 use iceoryx2::service::port_factory::{event, publish_subscribe};
 use lacuna_interfaces::graph::{GraphFile, Mode};
@@ -51,6 +52,7 @@ unsafe impl<W: Wire> ZeroCopySend for Envelope<W> {
 }
 
 type Factory<W> = publish_subscribe::PortFactory<ipc::Service, Envelope<W>, ()>;
+type Batches<W> = publish_subscribe::PortFactory<ipc::Service, [Envelope<W>], ()>;
 
 fn service_name(text: &str) -> Result<ServiceName, Failure> {
     text.try_into().map_err(|e| Failure::run(format!("\"{text}\" is not usable as a topic name: {e:?}")))
@@ -104,6 +106,22 @@ struct Room {
     nodes: usize,
 }
 
+impl Room {
+    fn of<P: std::fmt::Debug + IceoryxSend + ?Sized>(
+        &self,
+        builder: publish_subscribe_builder::Builder<P, (), ipc::Service>,
+    ) -> publish_subscribe_builder::Builder<P, (), ipc::Service> {
+        builder
+            .enable_safe_overflow(self.overflow)
+            .history_size(0)
+            .subscriber_max_buffer_size(self.buffer)
+            .subscriber_max_borrowed_samples(2)
+            .max_publishers(self.writers)
+            .max_subscribers(self.readers)
+            .max_nodes(self.nodes)
+    }
+}
+
 /// Opens or makes a topic, again and again while the bus is busy creating or removing it. Another message under its name
 /// is final.
 fn open_service<W: Wire>(
@@ -111,21 +129,28 @@ fn open_service<W: Wire>(
     name: &ServiceName,
     room: &Room,
 ) -> Result<Factory<W>, PublishSubscribeOpenOrCreateError> {
+    again_while_busy(|| {
+        room.of(domain.node().service_builder(name).publish_subscribe::<Envelope<W>>()).open_or_create()
+    })
+}
+
+/// The same for messages that each hold several samples.
+fn open_batches<W: Wire>(
+    domain: &Domain,
+    name: &ServiceName,
+    room: &Room,
+) -> Result<Batches<W>, PublishSubscribeOpenOrCreateError> {
+    again_while_busy(|| {
+        room.of(domain.node().service_builder(name).publish_subscribe::<[Envelope<W>]>()).open_or_create()
+    })
+}
+
+fn again_while_busy<T>(
+    mut attempt: impl FnMut() -> Result<T, PublishSubscribeOpenOrCreateError>,
+) -> Result<T, PublishSubscribeOpenOrCreateError> {
     let started = Instant::now();
     loop {
-        let result = domain
-            .node()
-            .service_builder(name)
-            .publish_subscribe::<Envelope<W>>()
-            .enable_safe_overflow(room.overflow)
-            .history_size(0)
-            .subscriber_max_buffer_size(room.buffer)
-            .subscriber_max_borrowed_samples(2)
-            .max_publishers(room.writers)
-            .max_subscribers(room.readers)
-            .max_nodes(room.nodes)
-            .open_or_create();
-        match result {
+        match attempt() {
             Err(e) if !speaks_otherwise(&e) && started.elapsed() <= OPEN_TIMEOUT => std::thread::sleep(TRY_AGAIN),
             done => return done,
         }

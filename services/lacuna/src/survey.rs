@@ -2,7 +2,7 @@
 
 use crate::mapping::mapping;
 use crate::words;
-use lacuna_recording::{Survey, Table};
+use lacuna_recording::{Survey, Table, survey::JointTopic};
 use lacuna_report::number::significant;
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -24,10 +24,21 @@ pub struct Surveyed {
     duration_s: Option<f64>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     datagrams: Vec<Datagram>,
+    /// JointState topics of an MCAP file.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    joint_topics: Vec<Joints>,
     needs: Vec<String>,
     /// Lines of a robot file that would let these columns be read.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     mapping: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct Joints {
+    topic: String,
+    joints: Vec<String>,
+    position: bool,
+    effort: bool,
 }
 
 /// A table's column, in its own unit.
@@ -77,6 +88,7 @@ pub fn survey_of(survey: &Survey) -> Surveyed {
         ethercat_frames: None,
         duration_s: None,
         datagrams: Vec::new(),
+        joint_topics: Vec::new(),
         needs: Vec::new(),
         mapping: Vec::new(),
     };
@@ -93,6 +105,16 @@ pub fn survey_of(survey: &Survey) -> Surveyed {
                 not_increasing: c.steps.not_increasing,
             });
             out.rows = Some(table.rows);
+        }
+        Survey::Bag(topics) => {
+            out.needs = bag_needs(topics);
+            let joints = |t: &JointTopic| Joints {
+                topic: t.name.clone(),
+                joints: t.joints.clone(),
+                position: t.position,
+                effort: t.effort,
+            };
+            out.joint_topics = topics.iter().map(joints).collect();
         }
         Survey::Bus(bus) => {
             out.frames = Some(bus.frames);
@@ -129,6 +151,31 @@ pub fn survey_of(survey: &Survey) -> Surveyed {
         }
     }
     out
+}
+
+/// What a bag lacks, or a robot file must say.
+fn bag_needs(topics: &[JointTopic]) -> Vec<String> {
+    if topics.is_empty() {
+        return vec!["a topic of sensor_msgs/msg/JointState with position and effort; there is none".to_owned()];
+    }
+    let mut all: Vec<String> = Vec::new();
+    for t in topics.iter().filter(|t| !(t.position && t.effort)) {
+        let name = &t.name;
+        if t.encoding != "cdr" {
+            all.push(format!("{name} in cdr (ROS 2) to be read; it is in {}", t.encoding));
+        } else if !t.position || t.joints.is_empty() {
+            all.push(format!("a position of every joint on {name} to be read"));
+        }
+    }
+    let whole: Vec<&JointTopic> = topics.iter().filter(|t| t.position && t.effort).collect();
+    if whole.is_empty() {
+        all.push("a topic with position and effort of every joint: positions alone give no torque model".to_owned());
+    }
+    let topic = if whole.len() > 1 { " --topic TOPIC" } else { "" };
+    all.push(format!(
+        "a robot file with joints of these names, or with them as columns.joints: --robot FILE{topic} shows its signals"
+    ));
+    all
 }
 
 fn columns(table: &Table) -> Vec<Column> {
@@ -191,6 +238,15 @@ pub fn survey_words(s: &Surveyed) -> String {
     if let (Some(frames), Some(ethercat)) = (s.frames, s.ethercat_frames) {
         let length = s.duration_s.map_or_else(String::new, |d| format!(" in {} s", significant(d, 4)));
         let _ = writeln!(text, "Capture: {frames} frames{length}, {ethercat} of them EtherCAT");
+    }
+    for t in &s.joint_topics {
+        let what = match (t.position, t.effort) {
+            (true, true) => "position and effort",
+            (true, false) => "position, no effort",
+            (false, true) => "effort, no position",
+            (false, false) => "neither position nor effort of every joint",
+        };
+        let _ = writeln!(text, "Joints on {}: {} ({what})", t.topic, t.joints.join(", "));
     }
     if !s.datagrams.is_empty() {
         let _ = writeln!(text, "Command  Address                 Bytes  Counter  Came back      Rate");

@@ -1,10 +1,15 @@
-//! What a recording holds, without knowing whose it is: the columns of a CSV, the datagrams of a capture.
+//! What a recording holds, without knowing whose it is: the columns of a CSV, the datagrams of a capture, the joints of a
+//! bag.
 
 use crate::ethercat::{Command, Frame};
 use crate::files::open_error;
 use crate::formats::packets::Packets;
 use crate::formats::rows::{Lines, Row, bare, parse_number};
 use crate::formats::{SNIFF_BYTES, detect};
+use crate::messages::Messages;
+use crate::reader::file_of;
+use crate::ros::joint_state::JointState;
+use crate::ros::schema;
 use lacuna_interfaces::BadInput;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -21,6 +26,23 @@ pub enum Survey {
     Table(Table),
     /// Fieldbus traffic.
     Bus(Bus),
+    /// An MCAP file: its JointState topics.
+    Bag(Vec<JointTopic>),
+}
+
+/// A JointState topic, by its first message.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct JointTopic {
+    /// Name.
+    pub name: String,
+    /// Message encoding; `cdr` is what is read.
+    pub encoding: String,
+    /// Joint names; empty if the message cannot be decoded.
+    pub joints: Vec<String>,
+    /// Whether there is a position and an effort of every joint.
+    pub position: bool,
+    /// See `position`.
+    pub effort: bool,
 }
 
 /// A CSV's columns.
@@ -66,6 +88,8 @@ pub struct Steps {
 const MOST_STEPS: usize = 10_000;
 /// Columns that are looked into; further ones are only named.
 const MOST_COLUMNS: usize = 256;
+/// Messages among which a topic's first one is looked for.
+const MOST_MESSAGES: usize = 200_000;
 
 impl Steps {
     fn saw(&mut self, value: f64) {
@@ -118,17 +142,19 @@ pub struct BusDatagram {
     pub working_counter: u16,
 }
 
-/// Surveys a file; `None` for a format that says itself what it holds (MCAP).
+/// Surveys a file, or the MCAP file of a bag folder; `None` for a format that is not known here.
 ///
 /// # Errors
 /// [`BadInput`] with the file: absent, of no known format, or damaged.
 pub fn survey(path: &Path) -> Result<Option<Survey>, BadInput> {
+    let path = &file_of(path)?;
     let mut first = Vec::new();
     let file = File::open(path).map_err(|e| open_error(path, &e))?;
     file.take(SNIFF_BYTES as u64).read_to_end(&mut first).map_err(|e| open_error(path, &e))?;
     let found = match detect(path, &first)?.name {
         "csv" => Survey::Table(table(path).map_err(|e| e.in_file(path))?),
         "capture" => Survey::Bus(bus(path).map_err(|e| e.in_file(path))?),
+        "mcap" => Survey::Bag(bag(path).map_err(|e| e.in_file(path))?),
         _ => return Ok(None),
     };
     Ok(Some(found))
@@ -173,6 +199,32 @@ fn never_falls(c: &Column) -> bool {
 fn is_time(name: &str) -> bool {
     let name = name.to_ascii_lowercase();
     name == "t" || ["time", "stamp", "t_", "t ", "t["].iter().any(|start| name.starts_with(start))
+}
+
+fn bag(path: &Path) -> Result<Vec<JointTopic>, BadInput> {
+    let mut messages = Messages::open(path)?;
+    let mut found: BTreeMap<usize, JointTopic> = BTreeMap::new();
+    let mut count = 0;
+    while count < MOST_MESSAGES
+        // Beyond damage nothing is looked at; the container's own summary says that there is some.
+        && let Ok(Some(message)) = messages.next_message()
+    {
+        count += 1;
+        let Some(topic) = messages.topic(message.topic).filter(|t| t.schema == schema::JOINT_STATE.name) else {
+            continue;
+        };
+        if found.contains_key(&message.topic) {
+            continue;
+        }
+        let state = JointState::parse(messages.data()).filter(|_| topic.encoding == "cdr");
+        let joints = state.as_ref().map_or_else(Vec::new, JointState::joints);
+        let of_all = |n: Option<usize>| !joints.is_empty() && n == Some(joints.len());
+        let (name, encoding) = (topic.name.clone(), topic.encoding.clone());
+        let position = of_all(state.as_ref().map(|s| s.position.len()));
+        let effort = of_all(state.as_ref().map(|s| s.effort.len()));
+        found.insert(message.topic, JointTopic { name, encoding, joints, position, effort });
+    }
+    Ok(found.into_values().collect())
 }
 
 fn bus(path: &Path) -> Result<Bus, BadInput> {

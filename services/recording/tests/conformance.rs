@@ -262,3 +262,20 @@ fn joints_of_another_name_are_found() {
     let read = read_all(&path, &table).unwrap();
     assert_eq!((read.q_rad[0][0], read.q_rad[1][0], read.tau_nm[1][0]), (2.0, 1.0, 4.0));
 }
+
+#[test]
+fn a_survey_of_a_bag_names_the_joints() {
+    use lacuna_recording::{Survey, survey};
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    write("mcap", &path, &motion(8000));
+    let Some(Survey::Bag(topics)) = survey(&path).unwrap() else { panic!("no bag") };
+    let found: Vec<_> = topics.iter().map(|t| (t.name.as_str(), t.position, t.effort)).collect();
+    assert_eq!(found, [("/measured", true, true)]);
+    assert_eq!(topics[0].joints, ["shoulder", "elbow"]);
+    // A folder with it is a bag, too; half of the file still names them.
+    assert_eq!(survey(dir.path()).unwrap(), Some(Survey::Bag(topics.clone())));
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &bytes[..bytes.len() * 2 / 3]).unwrap();
+    assert_eq!(survey(&path).unwrap(), Some(Survey::Bag(topics)));
+}

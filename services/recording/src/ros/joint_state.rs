@@ -9,8 +9,8 @@ pub(crate) struct JointState<'a> {
     pub(crate) stamp_ns: i64,
     names: &'a [u8],
     cursor: Cursor<'a>,
-    position: Numbers<'a>,
-    effort: Numbers<'a>,
+    pub(crate) position: Numbers<'a>,
+    pub(crate) effort: Numbers<'a>,
 }
 
 impl<'a> JointState<'a> {
@@ -23,6 +23,11 @@ impl<'a> JointState<'a> {
         let _velocity = cursor.numbers()?;
         let effort = cursor.numbers()?;
         Some(Self { stamp_ns, names, cursor, position, effort })
+    }
+
+    /// Names of its joints.
+    pub(crate) fn joints(&self) -> Vec<String> {
+        self.cursor.strings_of(self.names)
     }
 }
 

@@ -6,14 +6,14 @@
 //! ```text
 //! entry of a family     what the strongest wrong candidates of that family gain where nothing of it is missing
 //! p(named effect right) = 1 / (1 + e^−(w·x)),  x = (1, ln(1 + nats), margin, ln left)
-//! interval              half width × factor, so that 95 % of the true numbers lie inside
+//! interval              √(statistics² + (share · size)²), so that 95 % of the true numbers lie inside
 //! ```
 //!
 //! | symbol | meaning | unit |
 //! |---|---|---|
 //! | nats | held-out evidence that is lost without the effect | nat |
 //! | margin | merit over the best other explanation, in tens of nats, 0 to [`MOST_MARGIN`] | |
-//! | left | residual of the model over the noise, at the effect's joints, at least 1 | |
+//! | left | residual of the model over the noise, at the effect's joints, 1 to [`MOST_LEFT`] | |
 //!
 //! Platt 1999 (probabilities by logistic regression); Vovk, Gammerman, Shafer 2005 (quantiles of past errors).
 
@@ -32,6 +32,23 @@ const BUILT_IN: &str = include_str!("../calibration.toml");
 pub const SCHEMA: &str = "lacuna.calibration/1";
 /// Largest margin that counts.
 pub const MOST_MARGIN: f64 = 10.0;
+/// Largest residual over noise that counts: simulated robots have hardly more, and what is left on a real one says less of
+/// a single effect.
+const MOST_LEFT: f64 = 5.0;
+
+/// Size of parameter `i` of an instance, given as symbol, unit and value of all: amplitudes of one unit together, an angle
+/// that is a place against [`PLACE_RAD`], all else by itself.
+pub fn size(parameters: &[(&str, &str, f64)], i: usize, kind: NumberKind) -> f64 {
+    let Some((symbol, unit, value)) = parameters.get(i) else { return 0.0 };
+    match kind {
+        NumberKind::Shape if *symbol == "q_0" => value.abs().max(PLACE_RAD),
+        NumberKind::Shape => value.abs(),
+        _ => parameters.iter().filter(|p| p.1 == *unit).map(|p| p.2 * p.2).sum::<f64>().sqrt(),
+    }
+}
+
+/// Least size of an angle that says where something is [rad].
+const PLACE_RAD: f64 = 0.3;
 
 /// Which number of a finding an interval is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -45,7 +62,8 @@ pub enum NumberKind {
     Event,
 }
 
-/// Factors on intervals.
+/// How far a number is off beyond what noise explains, as a share of its size: laws are not quite those of the robot,
+/// and more recordings do not mend that.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Intervals {
@@ -96,7 +114,7 @@ impl Evidence {
     /// x of the logistic regression.
     pub fn features(&self) -> [f64; 4] {
         let margin = (self.margin / 10.0).clamp(0.0, MOST_MARGIN);
-        [1.0, self.nats.max(0.0).ln_1p(), margin, self.left.max(1.0).ln()]
+        [1.0, self.nats.max(0.0).ln_1p(), margin, self.left.clamp(1.0, MOST_LEFT).ln()]
     }
 }
 
@@ -111,9 +129,9 @@ impl Calibration {
             return Err(BadInput::new(format!("schema: found \"{}\"; expected \"{SCHEMA}\"", out.schema)));
         }
         let of = &out.intervals;
-        let mut factors = [of.amplitude, of.shape, of.event].into_iter().chain(of.of.values().copied());
-        if !factors.all(|f| f.is_finite() && f > 0.0) {
-            return Err(BadInput::new("intervals: found a factor that is not positive; expected positive numbers"));
+        let mut shares = [of.amplitude, of.shape, of.event].into_iter().chain(of.of.values().copied());
+        if !shares.all(|f| f.is_finite() && f > 0.0) {
+            return Err(BadInput::new("intervals: found a share that is not positive; expected positive numbers"));
         }
         let mut entries = out.entry.values().copied().chain([out.entry_default]);
         if !entries.all(|e| e.is_finite() && e >= 0.0) {
@@ -138,8 +156,8 @@ impl Calibration {
         self.entry.get(key).copied().unwrap_or(self.entry_default)
     }
 
-    /// Factor on the half width of the interval of a number.
-    pub fn factor(&self, effect: &str, symbol: &str, kind: NumberKind) -> f64 {
+    /// Error of a number that no noise explains, as a share of its size.
+    pub fn law_error(&self, effect: &str, symbol: &str, kind: NumberKind) -> f64 {
         let common = match kind {
             NumberKind::Amplitude => self.intervals.amplitude,
             NumberKind::Shape => self.intervals.shape,

@@ -1,10 +1,11 @@
 //! How well the numbers of a finding are known.
 //!
 //! Amplitudes: the larger of the formal standard deviation and the jackknife over folds left out. Shapes: from how
-//! the evidence falls beside them. Events, which are in one recording only: from the noise alone. All of them times
-//! the calibrated factor (see [`crate::calibration`]).
+//! the evidence falls beside them. Events, which are in one recording only: from the noise alone. To all of them comes
+//! what no noise explains, since laws are not quite those of the robot: a calibrated share of the number's size (see
+//! [`crate::calibration`]).
 
-use crate::calibration::NumberKind;
+use crate::calibration::{NumberKind, size};
 use crate::families::{Context, Family};
 use crate::findings::Parameter;
 use crate::gram::Fit;
@@ -30,9 +31,18 @@ pub fn parameters(m: &Material<'_>, ctx: &Context<'_>, i: usize, several: bool) 
     let amplitude: Vec<f64> = if atom.fixed { atom.amplitude.clone() } else { fit.beta[model.slots(i)].to_vec() };
     let values = family.parameters(ctx, atom.joint, &atom.shape, &amplitude);
     let shapes = family.shapes(ctx, atom.joint).unwrap_or_default();
+    let unit = |symbol: &str| family.effect.parameters.iter().find(|p| p.symbol == symbol).map_or("", |p| p.unit);
+    let given: Vec<(&str, &str, f64)> = values.iter().map(|(s, v)| (s.as_str(), unit(s), *v)).collect();
+    let sizes: Vec<f64> = given
+        .iter()
+        .enumerate()
+        .map(|(i, (s, ..))| size(&given, i, kind_of(family, family.keep.iter().any(|k| k == s))))
+        .collect();
     values
-        .into_iter()
-        .map(|(symbol, value)| {
+        .iter()
+        .zip(sizes)
+        .map(|((symbol, value), size)| {
+            let (symbol, value) = (symbol.clone(), *value);
             let column = family.keep.iter().position(|k| *k == symbol);
             let shape = shapes.iter().position(|s| s.symbol == symbol);
             let kind = kind_of(family, column.is_some());
@@ -43,11 +53,11 @@ pub fn parameters(m: &Material<'_>, ctx: &Context<'_>, i: usize, several: bool) 
                 (None, Some(s)) => 1.96 * curvature(m, ctx, i, s),
                 (None, None) => 0.0,
             };
-            let half = half * m.calibration.factor(family.id(), &symbol, kind);
+            let half = half.hypot(m.calibration.law_error(family.id(), &symbol, kind) * size);
             let half =
                 if half.is_finite() { half.max(least_share(m, family, &symbol) * value.abs()) } else { value.abs() };
             Parameter {
-                unit: family.effect.parameters.iter().find(|p| p.symbol == symbol).map_or("", |p| p.unit).to_owned(),
+                unit: unit(&symbol).to_owned(),
                 joint: (several || family.per_joint()).then(|| m.scene.robot.joints[atom.joint].clone()),
                 ci95: [value - half, value + half],
                 symbol,

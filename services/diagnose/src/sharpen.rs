@@ -38,6 +38,8 @@ pub(crate) fn sharpened(
         return Some(selection);
     };
     sharp.fallen = selection.fallen.clone();
+    // What was tried and left is told, and calibrated, on residuals as they are.
+    sharp.excluded = selection.excluded.clone();
     hold(plain, &mut sharp, progress)?;
     let error =
         |state: &State| (0..plain.scene.joints).map(|j| state.fit.held_out_joint(j).max(1e-30).ln()).sum::<f64>();

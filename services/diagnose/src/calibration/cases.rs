@@ -1,8 +1,8 @@
 //! Simulated robots whose truth is known, diagnosed: what a calibration is made from and measured on.
 
 use super::fit::{Number, Observation};
-use super::{Calibration, NumberKind};
-use crate::findings::Finding;
+use super::{Calibration, NumberKind, size};
+use crate::findings::{Finding, Parameter};
 use crate::{Conditioning, Options, Outcome, diagnose_with};
 use lacuna_interfaces::robot::Kind;
 use lacuna_physics::effects;
@@ -117,20 +117,26 @@ fn numbers(finding: &Finding, truth: &EffectTruth, kind: Kind, calibration: &Cal
     const CHOSEN: [&str; 4] = ["h", "rho", "T_ref", "t_0"];
     let amplitude =
         |symbol: &str| effects::find(&truth.id).is_some_and(|e| e.amplitudes(kind).any(|a| a.symbol == symbol));
-    finding
-        .parameters
-        .iter()
-        .filter(|p| !CHOSEN.contains(&p.symbol.as_str()))
-        .filter(|p| p.joint.as_ref().is_none_or(|j| truth.joints.first().is_none_or(|t| t == j)))
-        .filter_map(|p| {
-            let value = truth.params.get(&p.symbol)?;
+    let own = |p: &Parameter| p.joint.as_ref().is_none_or(|j| truth.joints.first().is_none_or(|t| t == j));
+    let all: Vec<&Parameter> = finding.parameters.iter().filter(|p| own(p)).collect();
+    let given: Vec<(&str, &str, f64)> = all.iter().map(|p| (p.symbol.as_str(), p.unit.as_str(), p.value)).collect();
+    all.iter()
+        .enumerate()
+        .filter(|(_, p)| !CHOSEN.contains(&p.symbol.as_str()))
+        // Of several orders of a ripple the truth is one: which is not said here.
+        .filter(|(_, p)| given.iter().filter(|g| g.0 == p.symbol).count() == 1)
+        .filter_map(|(i, p)| {
+            let error = (p.value - truth.params.get(&p.symbol)?).abs();
             let half = 0.5 * (p.ci95[1] - p.ci95[0]);
             let kind = if amplitude(&p.symbol) { NumberKind::Amplitude } else { NumberKind::Shape };
+            let size = size(&given, i, kind).max(1e-300);
+            let law = calibration.law_error(&truth.id, &p.symbol, kind) * size;
+            let statistics = (half * half - law * law).max(0.0);
             Some(Number {
                 name: format!("{}.{}", truth.id, p.symbol),
                 kind,
-                distance: (p.value - value).abs() / half.max(1e-300),
-                factor: calibration.factor(&truth.id, &p.symbol, kind),
+                distance: error / half.max(1e-300),
+                beyond: (error * error - statistics).max(0.0).sqrt() / size,
             })
         })
         .collect()

@@ -27,8 +27,8 @@ pub struct Number {
     pub kind: NumberKind,
     /// Distance from the truth in half widths of the interval as it was printed.
     pub distance: f64,
-    /// Factor that was in that half width.
-    pub factor: f64,
+    /// Error beyond what its statistics explain, √(error² − statistics²), as a share of its size.
+    pub beyond: f64,
 }
 
 /// Least and largest entry threshold [nats].
@@ -37,7 +37,11 @@ const ENTRY_NATS: (f64, f64) = (15.0, 80.0);
 const ENTRY_OVER: f64 = 1.3;
 /// Nulls up to which a family shares the threshold of all.
 const FEW_NULLS: f64 = 20.0;
-/// Numbers from which on a factor of their own begins to count as much as the common one.
+/// Least and largest law error, as a share of a number's size.
+const LAW_ERROR: (f64, f64) = (1e-3, 2.0);
+/// Law error of what was hardly ever seen.
+const UNSEEN: f64 = 0.1;
+/// Numbers from which on a law error of their own begins to count as much as the common one.
 const FEW_NUMBERS: f64 = 20.0;
 /// Ridge of the logistic regression: weights are pulled to the prior with this many observations' weight.
 const RIDGE: f64 = 0.3;
@@ -110,36 +114,40 @@ fn regression(named: &[(Evidence, bool)]) -> [f64; 4] {
 }
 
 fn intervals(numbers: &[&Number]) -> Intervals {
-    // The half width that would just have reached, over the half width without any factor.
-    let raw = |n: &Number| n.distance * n.factor;
     let point = |mut v: Vec<f64>, default: f64| -> f64 {
         let n = v.len() as f64;
         if n < 5.0 {
             return default;
         }
         // With n past errors the next one is within the ⌈0.95 (n + 1)⌉-th of them with 95 %.
-        stats::quantile_in_place(&mut v, (0.95 * (n + 1.0) / n).min(1.0)).clamp(0.2, 50.0)
+        stats::quantile_in_place(&mut v, (0.95 * (n + 1.0) / n).min(1.0)).clamp(LAW_ERROR.0, LAW_ERROR.1)
     };
-    let common = |kind| point(numbers.iter().filter(|n| n.kind == kind).map(|n| raw(n)).collect(), 2.0);
-    let rounded = |f: f64| (f * 100.0).round() / 100.0;
-    let (amplitude, shape, event) =
-        (common(NumberKind::Amplitude), common(NumberKind::Shape), common(NumberKind::Event));
     let mut own: BTreeMap<&str, (NumberKind, Vec<f64>)> = BTreeMap::new();
     for n in numbers {
-        own.entry(&n.name).or_insert((n.kind, Vec::new())).1.push(raw(n));
+        own.entry(&n.name).or_insert((n.kind, Vec::new())).1.push(n.beyond);
     }
-    let of = own
-        .into_iter()
-        .filter(|(_, (_, v))| v.len() >= 5)
-        .map(|(name, (kind, v))| {
+    own.retain(|_, (_, v)| v.len() >= 5);
+    let points: BTreeMap<&str, (NumberKind, f64, f64)> =
+        own.into_iter().map(|(name, (kind, v))| (name, (kind, v.len() as f64, point(v, UNSEEN)))).collect();
+    // What was not seen often is taken for the middle one of those that were.
+    let common = |kind: NumberKind| -> f64 {
+        let of: Vec<f64> = points.values().filter(|p| p.0 == kind).map(|p| p.2).collect();
+        if of.is_empty() { UNSEEN } else { stats::median(&of) }
+    };
+    let rounded = |f: f64| (f * 1e4).round() / 1e4;
+    let (amplitude, shape, event) =
+        (common(NumberKind::Amplitude), common(NumberKind::Shape), common(NumberKind::Event));
+    let of = points
+        .iter()
+        .map(|(name, (kind, n, point))| {
             let common = match kind {
                 NumberKind::Amplitude => amplitude,
                 NumberKind::Shape => shape,
                 NumberKind::Event => event,
             };
-            let n = v.len() as f64;
-            let log = (n * point(v, common).ln() + FEW_NUMBERS * common.ln()) / (n + FEW_NUMBERS);
-            (name.to_owned(), rounded(log.exp()))
+            // A few small errors do not promise that the next is small; a few large ones are large.
+            let log = (n * point.ln() + FEW_NUMBERS * common.ln()) / (n + FEW_NUMBERS);
+            ((*name).to_owned(), rounded(log.exp().max(*point)))
         })
         .collect();
     Intervals { amplitude: rounded(amplitude), shape: rounded(shape), event: rounded(event), of }
@@ -215,13 +223,16 @@ mod tests {
                 let p = logistic(&[-1.0, 0.5], &[1.0, evidence.nats.ln_1p()]);
                 let right = unit() < p;
                 let normal = (-2.0 * unit().max(1e-12).ln()).sqrt() * (std::f64::consts::TAU * unit()).cos();
-                let distance = (3.0 * normal / 1.96).abs();
+                // Statistics of 0.01 of the size, a law error of 0.03, both 95 %.
+                let other = (-2.0 * unit().max(1e-12).ln()).sqrt() * (std::f64::consts::TAU * unit()).cos();
+                let error = (0.01 * normal + 0.03 * other).abs() / 1.96;
+                let (distance, beyond) = (error, (error * error - 1e-4).max(0.0).sqrt());
                 let kind = NumberKind::Amplitude;
                 Observation {
                     nulls: vec![("a".into(), 10.0 * unit()), ("b".into(), 40.0 * unit())],
                     named: vec![(evidence, right)],
                     unknown: Vec::new(),
-                    numbers: vec![Number { name: "a.x".into(), kind, distance, factor: 1.0 }],
+                    numbers: vec![Number { name: "a.x".into(), kind, distance, beyond }],
                 }
             })
             .collect()
@@ -232,13 +243,13 @@ mod tests {
         let c = fit(&draw(2000, 0));
         let mut other = draw(2000, 1);
         for n in other.iter_mut().flat_map(|o| &mut o.numbers) {
-            n.distance /= c.factor("a", "x", n.kind);
+            n.distance /= c.law_error("a", "x", n.kind).hypot(0.01);
         }
         let q = quality(&c, &other);
         assert!(q.calibration_error < 0.03, "{q:?}");
         assert!((q.mean_probability - q.right as f64 / q.named as f64).abs() < 0.03, "{q:?}");
         assert!((0.93..0.97).contains(&q.coverage), "{q:?}");
-        assert!((c.intervals.amplitude - 3.0).abs() < 0.3, "{:?}", c.intervals);
+        assert!((c.intervals.amplitude - 0.03).abs() < 0.003, "{:?}", c.intervals);
         assert_eq!(c.entry_of("a"), 15.0);
         assert!((c.entry_of("b") - 52.0).abs() < 3.0, "{}", c.entry_of("b"));
     }

@@ -42,6 +42,20 @@ pub const KINDS: [Stress; 6] = [
     Stress::Everything,
 ];
 
+impl Stress {
+    /// Its name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::BufferOfOne => "buffer-of-one",
+            Self::SlowReader => "slow-reader",
+            Self::StoppedReaders => "stopped-readers",
+            Self::StartOrder => "start-order",
+            Self::Hog => "hog",
+            Self::Everything => "everything",
+        }
+    }
+}
+
 /// One kind of stress over all its runs.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Row {
@@ -59,12 +73,13 @@ pub struct Row {
     pub rate_per_s: f64,
 }
 
-/// Replays `samples` samples `repeats` times, the kinds of stress in turn.
+/// Replays `samples` samples `repeats` times, the `kinds` of stress in turn.
 ///
 /// # Errors
 /// If a run could not be started.
 pub fn run(
     launch: &Path,
+    kinds: &[Stress],
     samples: u64,
     repeats: usize,
     seed: u64,
@@ -78,12 +93,12 @@ pub fn run(
     motion::write_csv(&file("run.csv"), samples, 1000.0)?;
     let text = std::fs::read_to_string(launch.join("replay.toml"))?;
     let mut random = Pcg64::seed_from_u64(seed);
-    let mut rows: Vec<Row> =
-        KINDS.map(|stress| Row { stress, runs: 0, samples: 0, lost: 0, failed: Vec::new(), rate_per_s: 0.0 }).into();
-    let mut rates = vec![Vec::new(); KINDS.len()];
+    let new = |&stress: &Stress| Row { stress, runs: 0, samples: 0, lost: 0, failed: Vec::new(), rate_per_s: 0.0 };
+    let mut rows: Vec<Row> = kinds.iter().map(new).collect();
+    let mut rates = vec![Vec::new(); kinds.len()];
     for turn in 0..repeats {
-        let kind = turn % KINDS.len();
-        let row = &mut rows[kind];
+        let kind = turn % kinds.len().max(1);
+        let Some(row) = rows.get_mut(kind) else { break };
         progress(&format!("run {} of {repeats}: {:?}", turn + 1, row.stress));
         std::fs::write(file("graph.toml"), graph_text(&text, row.stress))?;
         row.runs += 1;

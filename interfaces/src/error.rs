@@ -1,6 +1,6 @@
 //! The one error every reader of user input returns: where, what was found, what was expected.
 
-use std::fmt;
+use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 /// Input that cannot be used. Displays as one line, `FILE:LINE: found …; expected …`, and makes a command
@@ -47,8 +47,27 @@ impl BadInput {
     }
 }
 
+/// What input is quoted may hold line ends and terminal controls: they are shown, not obeyed.
+struct OneLine<'a, 'f>(&'a mut fmt::Formatter<'f>);
+
+impl fmt::Write for OneLine<'_, '_> {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        for part in text.split_inclusive(char::is_control) {
+            match part.chars().next_back().filter(|c| c.is_control()) {
+                Some(control) => {
+                    self.0.write_str(part.strip_suffix(control).unwrap_or(part))?;
+                    write!(self.0, "{}", control.escape_default())?;
+                }
+                None => self.0.write_str(part)?,
+            }
+        }
+        Ok(())
+    }
+}
+
 impl fmt::Display for BadInput {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut f = OneLine(f);
         match (&self.file, self.line) {
             (Some(file), Some(line)) => write!(f, "{}:{line}: {}", file.display(), self.what),
             (Some(file), None) => write!(f, "{}: {}", file.display(), self.what),
@@ -59,3 +78,14 @@ impl fmt::Display for BadInput {
 }
 
 impl std::error::Error for BadInput {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whatever_is_quoted_stays_on_one_line() {
+        let error = BadInput::new("found \"a\nb\r\u{1b}[2Jc\u{85}\"; expected ä").in_file("x\ny.toml").at_line(3);
+        assert_eq!(error.to_string(), "x\\ny.toml:3: found \"a\\nb\\r\\u{1b}[2Jc\\u{85}\"; expected ä");
+    }
+}

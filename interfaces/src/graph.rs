@@ -57,6 +57,10 @@ pub struct Node {
     /// Model file of this node; absent: the graph's. Nodes that write into one namespace have one model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub model: Option<String>,
+    /// Messages each of its inputs can hold; absent: the graph's `buffer`. A reader that may fall behind for a moment,
+    /// as a recorder does when its disk is busy, wants more than the stages between it and the robot.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub buffer: Option<usize>,
     /// Restart policy.
     #[serde(default)]
     pub restart: Restart,
@@ -175,6 +179,17 @@ impl GraphFile {
         self.nodes.iter().filter(move |n| n.inputs.iter().any(|t| t == topic))
     }
 
+    /// Messages that an input of `node` can hold.
+    pub fn buffer_of(&self, node: &Node) -> usize {
+        node.buffer.unwrap_or(self.buffer)
+    }
+
+    /// Messages that the readers of `topic` can hold: the fewest and the most.
+    pub fn buffers(&self, topic: &str) -> (usize, usize) {
+        let each = || self.readers(topic).map(|n| self.buffer_of(n));
+        (each().min().unwrap_or(self.buffer), each().max().unwrap_or(self.buffer))
+    }
+
     /// Model file of `node`; empty for none.
     pub fn model_of<'a>(&'a self, node: &'a Node) -> &'a str {
         node.model.as_deref().unwrap_or(&self.model)
@@ -223,9 +238,7 @@ impl GraphFile {
         if self.nodes.is_empty() {
             return Err(BadInput::new("found no [[node]]; expected at least one"));
         }
-        if !(1..=65_536).contains(&self.buffer) {
-            return Err(BadInput::new(format!("buffer: found {}; expected 1 to 65536", self.buffer)));
-        }
+        valid_buffer("", self.buffer)?;
         let mut written: Vec<&str> = Vec::new();
         for (i, node) in self.nodes.iter().enumerate() {
             valid_name("node name", &node.name)?;
@@ -242,6 +255,9 @@ impl GraphFile {
                 )));
             }
             node.validate_scheduling()?;
+            if let Some(buffer) = node.buffer {
+                valid_buffer(&format!("node \"{}\": ", node.name), buffer)?;
+            }
             for (k, topic) in node.inputs.iter().enumerate() {
                 if node.inputs[..k].contains(topic) {
                     return Err(BadInput::new(format!("node \"{}\": reads topic \"{topic}\" twice", node.name)));
@@ -291,6 +307,13 @@ impl GraphFile {
             None => Ok(()),
         }
     }
+}
+
+fn valid_buffer(place: &str, buffer: usize) -> Result<(), BadInput> {
+    if (1..=65_536).contains(&buffer) {
+        return Ok(());
+    }
+    Err(BadInput::new(format!("{place}buffer: found {buffer}; expected 1 to 65536")))
 }
 
 fn valid_topic(topic: &str) -> Result<(), BadInput> {
@@ -405,6 +428,15 @@ mod tests {
         assert_eq!(g.robot, "r.toml");
         assert_eq!(g.nodes[0].config["rate"], toml::Value::Float(2.0));
         assert_eq!(g.nodes[0].config["file"].as_str(), Some("a-2.0.csv"));
+    }
+
+    #[test]
+    fn a_reader_may_have_a_buffer_of_its_own() {
+        let text = GRAPH.to_owned() + "buffer = 4096\n[[node]]\nname = \"r\"\nexec = \"x\"\ninputs = [\"measured\"]\n";
+        let g = GraphFile::parse(&text).unwrap().resolve(&[]).unwrap();
+        assert_eq!((g.buffers("measured"), g.buffers("smoothed")), ((512, 4096), (512, 512)));
+        let e = GraphFile::parse(&text.replace("4096", "0")).unwrap().resolve(&[]).unwrap_err();
+        assert!(e.to_string().contains("node \"smoother\": buffer: found 0"), "{e}");
     }
 
     #[test]

@@ -44,7 +44,6 @@ class Bus:
         with open(f"{run}/graph.toml", "rb") as file:
             self.graph = tomllib.load(file)
         self.live = self.graph["mode"] == "live"
-        self.buffer = self.graph.get("buffer", 512)
         self.node = next((n for n in self.graph["node"] if n["name"] == node), None)
         if self.node is None:
             raise BadInput(f"--node {node}: the graph has no such node")
@@ -57,10 +56,17 @@ class Bus:
     def readers(self, topic):
         return [n["name"] for n in self.graph["node"] if topic in n.get("inputs", [])]
 
+    def buffer(self, node):
+        """Messages that an input of a node can hold."""
+        return node.get("buffer", self.graph.get("buffer", 512))
+
+    def buffers(self, topic):
+        return [self.buffer(n) for n in self.graph["node"] if topic in n.get("inputs", [])] or [self.buffer({})]
+
     def topic(self, topic, message):
         readers, spare = len(self.readers(topic)), 2 if self.live else 0
         builder = self.iox.service_builder(iox2.ServiceName.new(topic)).publish_subscribe(message)
-        builder = builder.enable_safe_overflow(False).history_size(0).subscriber_max_buffer_size(self.buffer)
+        builder = builder.enable_safe_overflow(False).history_size(0).subscriber_max_buffer_size(max(self.buffers(topic)))
         builder = builder.subscriber_max_borrowed_samples(2).max_publishers(1 + spare)
         builder = builder.max_subscribers(max(readers + spare, 1)).max_nodes(readers + 2 + 2 * spare)
         until = time.monotonic() + OPEN_S
@@ -94,7 +100,7 @@ class Input:
 
     def __init__(self, bus, topic, message):
         self.topic, self.live = topic, bus.live
-        self.port = bus.topic(topic, message).subscriber_builder().buffer_size(bus.buffer).create()
+        self.port = bus.topic(topic, message).subscriber_builder().buffer_size(bus.buffer(bus.node)).create()
         self.last, self.received, self.missing = None, 0, 0
 
     def receive(self):
@@ -128,7 +134,7 @@ class Output:
         self.port = self.factory.publisher_builder().max_loaned_samples(1).backpressure_strategy(how).create()
         self.bells = [bus.wake(node).notifier_builder().create() for node in bus.readers(topic)]
         self.expected = len(self.bells)
-        self.every = min(NOTIFY_EVERY, max(bus.buffer // 2, 1))
+        self.every = min(NOTIFY_EVERY, max(min(bus.buffers(topic)) // 2, 1))
         self.unnotified, self.connected, self.published, self.dropped = 0, False, 0, 0
 
     def readers(self):

@@ -35,7 +35,8 @@ fn check_kills(result: &Value, kills: u64, replays: u64) {
     assert_eq!(live["kills"], kills);
     assert_eq!(live["problems"], serde_json::json!([]));
     assert_eq!((live["raw_unexplained"].as_u64(), &live["flagged"]), (Some(0), &live["holes"]));
-    let parts = ["raw_recorded", "raw_unpublished", "raw_recorder_down"].map(|k| live[k].as_u64().expect(k));
+    let parts =
+        ["raw_recorded", "raw_unpublished", "raw_recorder_down", "raw_overrun"].map(|k| live[k].as_u64().expect(k));
     assert_eq!(parts.iter().sum::<u64>(), live["raw_due"].as_u64().expect("raw_due"));
     let replay = &result["replay"];
     assert_eq!(replay["kills"].as_u64().zip(replay["too_late"].as_u64()).map(|(a, b)| a + b), Some(replays));

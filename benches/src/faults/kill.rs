@@ -18,6 +18,8 @@ pub struct Kill {
     /// Until the graph was whole again (while starting: until the node was ready) [ms]; `None` if the node was killed
     /// once more before.
     pub whole_ms: Option<f64>,
+    /// CLOCK_MONOTONIC when the next process passed on its first sample [ns]; `None` if it was killed before.
+    pub flowing_ns: Option<u64>,
 }
 
 /// CLOCK_MONOTONIC [ns].

@@ -99,6 +99,9 @@ pub struct Campaign {
     pub raw_unpublished: u64,
     /// Raw samples published while the recorder was down, or lost with what it had not written.
     pub raw_recorder_down: u64,
+    /// Raw samples that the recorder did not take in time, each of which its file says is missing.
+    #[serde(default)]
+    pub raw_overrun: u64,
     /// Raw samples missing without such a reason.
     pub raw_unexplained: u64,
     /// How far back from the kill of a recorder its file ended [ms] (the flush interval is 500 ms).
@@ -178,6 +181,7 @@ fn sum(options: &Options, rounds: &[Round], samples: u64) -> Campaign {
         raw_recorded: total(|r| r.raw),
         raw_unpublished: total(|r| r.unpublished),
         raw_recorder_down: total(|r| r.recorder_down),
+        raw_overrun: total(|r| r.overrun),
         raw_unexplained: total(|r| r.unexplained),
         recorder_lost: all(|r| &r.recorder_lost_ms),
         problems: rounds.iter().flat_map(|r| r.problems.iter().cloned()).collect(),

@@ -24,6 +24,7 @@ pub struct Recorded {
     pub raw: u64,
     pub unpublished: u64,
     pub recorder_down: u64,
+    pub overrun: u64,
     pub unexplained: u64,
     pub recorder_lost_ms: Vec<f64>,
 }
@@ -33,6 +34,10 @@ pub struct Recorded {
 struct File {
     raw: Vec<u64>,
     last: Vec<(u64, u32)>,
+    /// What the file says is missing of the raw stream: first number, count.
+    gaps: Vec<(u64, u64)>,
+    /// Last number on the topic of the last stage.
+    end: u64,
     /// Missing samples per stream as the file's own end says; `None` if it has no end.
     said: Option<BTreeMap<String, String>>,
 }
@@ -54,8 +59,11 @@ pub fn check(
     }
     files.sort_by_key(|f| f.raw.first().copied().unwrap_or(u64::MAX));
     let mut found = Recorded::default();
+    let mut end = 0;
     for file in &files {
-        count_holes(file, setup.options.rate_hz, &mut found, problems);
+        count_holes(file, end, setup.options.rate_hz, &mut found, problems);
+        unsaid_holes(file, problems);
+        end = end.max(file.end);
     }
     let clock = Clock { began_ns: report["began_ns"].as_u64().unwrap_or(0), rate_hz: setup.options.rate_hz };
     let down = Downtimes::of(kills, report);
@@ -68,7 +76,11 @@ pub fn check(
         problems.push(format!("{} raw samples were recorded twice", all - raw.len()));
     }
     found.raw = raw.len() as u64;
-    if let Some(first) = explain_missing(&raw, setup.samples, &down, &clock, &mut found) {
+    // Before its first sample a file says what its predecessors lack as well; that needs a reason.
+    let within =
+        |f: &File| f.gaps.iter().filter(|g| f.raw.first().is_some_and(|first| g.0 > *first)).copied().collect();
+    let said: Vec<(u64, u64)> = files.iter().flat_map(|f| -> Vec<(u64, u64)> { within(f) }).collect();
+    if let Some(first) = explain_missing(&raw, setup.samples, &down, &said, &clock, &mut found) {
         let at = clock.due_ms(first);
         problems.push(format!(
             "{} raw samples are missing although source and recorder were up; the first is number {first}, {} and {}; load {}",
@@ -112,7 +124,7 @@ impl Downtimes {
             let mut spans: Vec<(f64, Option<f64>)> = Vec::new();
             for kill in kills {
                 let at = kill.at_ns as f64 / 1e6;
-                let ms = kill.whole_ms.map(|ms| if kill.at_start { (at + ms).max(began_ms) } else { at + ms });
+                let ms = kill.flowing_ns.map(|ns| (ns as f64 / 1e6).max(began_ms));
                 match spans.last_mut() {
                     Some((_, end @ None)) => *end = ms,
                     _ => spans.push((at, ms)),
@@ -128,9 +140,21 @@ fn within(spans: &[(f64, f64)], at: f64, before: f64, after: f64) -> bool {
     spans.iter().any(|(from, to)| (from - before..=to + after).contains(&at))
 }
 
-/// Holes within a file: their length, their flag, and whether the file's own count knows them.
-fn count_holes(file: &File, rate_hz: f64, found: &mut Recorded, problems: &mut Vec<String>) {
-    let mut missing = file.last.first().map_or(0, |(seq, _)| seq - 1);
+/// Holes in the raw stream of a file that its topic of gaps does not tell.
+fn unsaid_holes(file: &File, problems: &mut Vec<String>) {
+    for pair in file.raw.windows(2) {
+        let [before, after] = pair else { continue };
+        let hole = (before + 1, (after - before).saturating_sub(1));
+        if *after > before + 1 && !file.gaps.contains(&hole) {
+            problems.push(format!("raw sample {after} follows {before}, and the file says nothing of it"));
+        }
+    }
+}
+
+/// Holes within a file: their length, their flag, and whether the file's own count knows them. The file before ended with
+/// number `end`.
+fn count_holes(file: &File, end: u64, rate_hz: f64, found: &mut Recorded, problems: &mut Vec<String>) {
+    let mut missing = file.last.first().map_or(0, |(seq, _)| seq.saturating_sub(end + 1));
     for pair in file.last.windows(2) {
         let [(before, _), (after, flags)] = pair else { continue };
         if after - before > 1 {
@@ -190,7 +214,14 @@ fn nearest(what: &str, spans: &[(f64, f64)], at: f64) -> String {
 }
 
 /// Counts missing samples by their reason; returns the first that has none.
-fn explain_missing(raw: &[u64], samples: u64, down: &Downtimes, clock: &Clock, found: &mut Recorded) -> Option<u64> {
+fn explain_missing(
+    raw: &[u64],
+    samples: u64,
+    down: &Downtimes,
+    said: &[(u64, u64)],
+    clock: &Clock,
+    found: &mut Recorded,
+) -> Option<u64> {
     let mut unexplained = None;
     let mut there = raw.iter().copied().peekable();
     for seq in 1..=samples {
@@ -204,6 +235,8 @@ fn explain_missing(raw: &[u64], samples: u64, down: &Downtimes, clock: &Clock, f
             found.unpublished += 1;
         } else if down.recorder.iter().any(|(from, to)| at >= from - chain_before(down, *from) && at <= to + SLACK_MS) {
             found.recorder_down += 1;
+        } else if said.iter().any(|(first, count)| (*first..first + count).contains(&seq)) {
+            found.overrun += 1;
         } else {
             found.unexplained += 1;
             unexplained.get_or_insert(seq);
@@ -249,6 +282,13 @@ fn parse(bytes: &[u8]) -> Result<File, BenchError> {
         let message = message?;
         match message.channel.topic.as_str() {
             "/measured" => file.raw.push(u64::from(message.sequence)),
+            "/monitor" => file.end = u64::from(message.sequence),
+            "/gaps" => {
+                let (stream, first, count) = gap(&message.data).ok_or("a message on /gaps is too short")?;
+                if stream == "measured" {
+                    file.gaps.push((first, count));
+                }
+            }
             "/status" => file.last.push(status(&message.data).ok_or("a status message is too short")?),
             _ => {}
         }
@@ -274,6 +314,17 @@ fn status(data: &[u8]) -> Option<(u64, u32)> {
     Some((seq, flags))
 }
 
+/// Stream, first number and count of a `lacuna_msgs/msg/Gap` in CDR.
+fn gap(data: &[u8]) -> Option<(&str, u64, u64)> {
+    let body = data.get(4..)?;
+    let word = |at: usize| Some(u32::from_le_bytes(body.get(at..at + 4)?.try_into().ok()?) as usize);
+    let long = |at: usize| Some(u64::from_le_bytes(body.get(at..at + 8)?.try_into().ok()?));
+    let len_at = (12 + word(8)?).next_multiple_of(4);
+    let (from, to) = (len_at + 4, (len_at + 4).checked_add(word(len_at)?)?);
+    let numbers = to.next_multiple_of(8);
+    Some((std::str::from_utf8(body.get(from..to.checked_sub(1)?)?).ok()?, long(numbers)?, long(numbers + 8)?))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -284,7 +335,8 @@ mod tests {
     fn missing(gone: std::ops::Range<u64>, down: &Downtimes) -> [u64; 3] {
         let raw: Vec<u64> = (1..=5000).filter(|seq| !gone.contains(seq)).collect();
         let mut found = Recorded::default();
-        explain_missing(&raw, 5000, down, &CLOCK, &mut found);
+        explain_missing(&raw, 5000, down, &[(4000, 10)], &CLOCK, &mut found);
+        assert_eq!(found.overrun, gone.clone().filter(|seq| (4000..4010).contains(seq)).count() as u64);
         [found.unpublished, found.recorder_down, found.unexplained]
     }
 
@@ -293,6 +345,7 @@ mod tests {
         let nobody = Downtimes { source: vec![], recorder: vec![] };
         assert_eq!(missing(0..0, &nobody), [0, 0, 0]);
         assert_eq!(missing(2000..2001, &nobody), [0, 0, 1]);
+        assert_eq!(missing(4005..4015, &nobody), [0, 0, 5], "what the file says ends with 4009");
         let source = Downtimes { source: vec![(12_000.0, 12_050.0)], recorder: vec![] };
         assert_eq!(missing(2001..2051, &source), [50, 0, 0]);
         assert_eq!(missing(2001..2061, &source), [51, 0, 9], "what came due after the restart must be there");
@@ -306,7 +359,15 @@ mod tests {
         let file = File { last: vec![(1, 0), (2, 0), (5, GAP), (6, 0), (9, 0)], ..File::default() };
         let mut found = Recorded::default();
         let mut problems = Vec::new();
-        count_holes(&file, 1000.0, &mut found, &mut problems);
+        count_holes(&file, 0, 1000.0, &mut found, &mut problems);
         assert_eq!((found.holes, found.flagged, problems.len()), (2, 1, 1), "{problems:?}");
+    }
+
+    #[test]
+    fn a_raw_hole_that_the_file_does_not_tell_is_found() {
+        let mut problems = Vec::new();
+        unsaid_holes(&File { raw: vec![1, 2, 5, 9], gaps: vec![(3, 2), (6, 2)], ..File::default() }, &mut problems);
+        assert_eq!(problems.len(), 1, "{problems:?}");
+        assert!(problems[0].contains("9 follows 5"), "{problems:?}");
     }
 }

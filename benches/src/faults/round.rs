@@ -85,7 +85,7 @@ impl Graph {
 
     fn kill(&mut self, node: &str, pid: u32, at_start: bool, again: bool) {
         if let Some(at_ns) = kill::kill(pid) {
-            self.kills.push(Kill { node: node.to_owned(), at_ns, at_start, again, whole_ms: None });
+            self.kills.push(Kill { node: node.to_owned(), at_ns, at_start, again, whole_ms: None, flowing_ns: None });
         }
     }
 
@@ -163,8 +163,12 @@ impl Graph {
         let files = recordings(out)?;
         let recorded = recorded::check(setup, &files, &kills, &report, &mut problems)?;
         let lost = report["lost"].as_u64().unwrap_or(0);
-        if code == Some(0) && recorded.holes > 0 {
-            problems.push(format!("exit code 0 and {lost} lost, but the recording has {} holes", recorded.holes));
+        let missing = setup.samples.saturating_sub(recorded.raw);
+        if code == Some(0) && (recorded.holes > 0 || missing > 0) {
+            problems.push(format!(
+                "exit code 0 and {lost} lost, but the recording has {} holes and lacks {missing} raw samples",
+                recorded.holes
+            ));
         }
         Ok(Round { kills, recorded, problems })
     }
@@ -231,6 +235,7 @@ fn time_kills(nodes: &[String], kills: &mut [Kill], report: &Value, problems: &m
         for (kill, fault) in killed.into_iter().zip(of_node) {
             let until = if kill.at_start { &fault["ready_ns"] } else { &fault["flowing_ns"] };
             kill.whole_ms = until.as_u64().map(|ns| ns.saturating_sub(kill.at_ns) as f64 / 1e6);
+            kill.flowing_ns = fault["flowing_ns"].as_u64();
             if kill.at_ns > monotonic_ns() {
                 problems.push("the clock ran backwards".to_owned());
             }

@@ -125,10 +125,11 @@ fn print_plan(graph: &GraphFile, executables: &[PathBuf]) {
         let inputs = if node.inputs.is_empty() { "-".to_owned() } else { node.inputs.join(" + ") };
         let _ = writeln!(
             out,
-            "  {:<12} {inputs} → {}   {}",
+            "  {:<12} {inputs} → {}   {}{}",
             node.name,
             node.output.as_deref().unwrap_or("-"),
-            exec.display()
+            exec.display(),
+            node.buffer.map_or_else(String::new, |n| format!(" (buffer {n})"))
         );
     }
 }
@@ -149,6 +150,12 @@ fn print_summary(graph: &GraphFile, report: &RunReport) {
         if let Some(path) = node.details.get("path").and_then(|p| p.as_str()) {
             let _ = writeln!(out, "  {name}: wrote {path}");
         }
+    }
+    if report.restarts > 0 {
+        let mut names: Vec<&str> = report.faults.iter().map(|f| f.node.as_str()).collect();
+        names.sort_unstable();
+        names.dedup();
+        let _ = writeln!(out, "  {} restarts ({}); --json has each fault", report.restarts, names.join(", "));
     }
     if report.lost > 0 {
         let _ = writeln!(out, "  {} samples were LOST on the way; see the node counts with --json", report.lost);

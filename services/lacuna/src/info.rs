@@ -304,6 +304,9 @@ fn container_words(c: &Container) -> String {
     if !c.metadata.is_empty() {
         let _ = writeln!(text, "Metadata: {}", c.metadata.keys().cloned().collect::<Vec<_>>().join(", "));
     }
+    if let Some(end) = c.metadata.get("lacuna.end") {
+        let _ = writeln!(text, "{}", counted_words(end));
+    }
     text
 }
 
@@ -316,6 +319,28 @@ fn doubt(r: &Contents) -> Option<String> {
             significant(s, 4)
         )
     })
+}
+
+/// What the recorder counted that is not in the file.
+fn counted_words(end: &BTreeMap<String, String>) -> String {
+    let of = |what: &str| -> Vec<String> {
+        let named = end.iter().filter_map(|(key, n)| Some(format!("{n} of {}", key.strip_prefix(what)?)));
+        named.collect()
+    };
+    let mut parts = Vec::new();
+    for (what, words) in [("missing.", "samples missing"), ("repeated.", "repeated or out of order")] {
+        let list = of(what);
+        if !list.is_empty() {
+            parts.push(format!("{words}: {}", list.join(", ")));
+        }
+    }
+    if let Some(n) = end.get("dropped").filter(|n| *n != "0") {
+        parts.push(format!("{n} messages dropped before a slow disk"));
+    }
+    match parts.as_slice() {
+        [] => "Counts: no sample missing".to_owned(),
+        parts => format!("Counts: {} (/gaps has the places)", parts.join("; ")),
+    }
 }
 
 fn contents_words(r: &Contents) -> String {

@@ -186,6 +186,7 @@ fn record(robot: &RobotFile, samples: &mut [All], path: &Path, name: &str, more:
         robot,
         streams: &Stream::ALL,
         branches: &[],
+        resumed: false,
         live: false,
         attachments: Vec::new(),
         facts: BTreeMap::new(),

@@ -130,6 +130,8 @@ pub struct Run<'a> {
     pub streams: &'a [Stream],
     /// Messages that will come in namespaces of their own.
     pub branches: &'a [Branch],
+    /// `true`: an earlier recorder of this run died, and this file goes on; see [`crate::Recorder::continues`].
+    pub resumed: bool,
     /// `true`: what the disk cannot take is dropped and counted; `false`: the caller waits.
     pub live: bool,
     /// Robot, model and graph files.
@@ -214,10 +216,19 @@ impl Config {
         if metadata.exists() {
             std::fs::remove_file(&metadata).map_err(|e| io("emptied", e))?;
         }
-        let stem = self.path.file_name().map_or_else(|| "recording".into(), |n| n.to_string_lossy().into_owned());
-        let name = format!("{stem}_0.mcap");
+        let name = name_in_bag(&self.path);
         Ok((self.path.join(&name), Some((self.path.clone(), name))))
     }
+
+    /// The file of a recording at `path`: itself, or the one in the bag folder.
+    pub fn file_at(&self, path: PathBuf) -> PathBuf {
+        if self.bag { path.join(name_in_bag(&path)) } else { path }
+    }
+}
+
+fn name_in_bag(folder: &Path) -> String {
+    let stem = folder.file_name().map_or_else(|| "recording".into(), |n| n.to_string_lossy().into_owned());
+    format!("{stem}_0.mcap")
 }
 
 impl Run<'_> {

@@ -12,16 +12,22 @@
 //! | | `/payload` | mass and its standard deviation |
 //! | [`ResidualWatch`] | `/monitor` | block residual, its allowed size, evidence, alarm and region |
 //! | the last of them | `/status` | sequence, flags, drops, latencies |
+//! | any | `/gaps` | samples that are missing before the one with this stamp; only where any are |
 //!
 //! Streams of a namespace (`before`, `after`) stand below it: `/before/residual`, `/after/residual`.
+//!
+//! A recorder that was started again goes on in a new file, and says there what is missing between the two
+//! ([`Recorder::continues`]).
 //!
 //! Pure apart from the file: the bus and the clock are the process's business. Each stream's sequence is
 //! checked; what is missing is counted, and only a finished recording carries `complete = true`.
 
+mod before;
 mod config;
 mod fill;
 mod streams;
 
+pub use before::{Before, before};
 pub use config::{Branch, Config, Lanes, Run};
 pub use lacuna_recording::container::{Attachment, WriteError};
 pub use streams::{Counts, Stream, Topics};
@@ -30,10 +36,11 @@ use lacuna_interfaces::{
     BadInput, FrictionTorque, Header, JointMeasured, JointSmoothed, PayloadEstimate, ResidualWatch, TorqueModel, flag,
 };
 use lacuna_recording::container::{Finished, MessageBatch, Writer};
-use lacuna_recording::ros::bag;
+use lacuna_recording::ros::{bag, schema};
+use lacuna_recording::topics::GapTopic;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use streams::Sequences;
+use streams::{GAPS, Hole, Sequences, full};
 
 /// Writes a recording.
 #[derive(Debug)]
@@ -50,7 +57,38 @@ pub struct Recorder {
 struct Lane {
     namespace: String,
     topics: Topics,
+    /// Where holes are said; `None` for a namespace without streams.
+    gaps: Option<GapTopic>,
     sequences: Sequences,
+}
+
+impl Lane {
+    /// The topics, and where holes in them are said.
+    fn declare(writer: &mut Writer, run: &Run<'_>, namespace: &str, streams: &[Stream]) -> Result<Self, WriteError> {
+        let topics = Topics::declare(writer, &run.robot.joints, namespace, streams)?;
+        let gaps = match streams {
+            [] => None,
+            _ => Some(GapTopic::new(writer, &full(namespace, GAPS), &Stream::ALL.map(Stream::name))?),
+        };
+        let sequences = Sequences::new(run.resumed);
+        Ok(Self { namespace: namespace.to_owned(), topics, gaps, sequences })
+    }
+
+    fn bag_topics(&self, finished: &Finished) -> Vec<bag::Topic> {
+        let mut all = self.topics.bag_topics(finished);
+        all.extend(self.gaps.as_ref().map(|gaps| bag::Topic {
+            name: full(&self.namespace, GAPS),
+            kind: schema::GAP.name.to_owned(),
+            count: finished.messages.get(&gaps.channel()).copied().unwrap_or(0),
+        }));
+        all
+    }
+
+    fn say(&self, batch: &mut MessageBatch<'_>, stream: Stream, header: &Header, hole: Hole) {
+        if let Some(gaps) = &self.gaps {
+            gaps.write(batch, header, stream as usize, hole.first, hole.count);
+        }
+    }
 }
 
 /// Writes samples of one namespace.
@@ -82,10 +120,7 @@ impl Recorder {
         let lanes = [("", run.streams)]
             .into_iter()
             .chain(branches)
-            .map(|(namespace, streams)| {
-                let topics = Topics::declare(&mut writer, &run.robot.joints, namespace, streams)?;
-                Ok(Lane { namespace: namespace.to_owned(), topics, sequences: Sequences::default() })
-            })
+            .map(|(namespace, streams)| Lane::declare(&mut writer, run, namespace, streams))
             .collect::<Result<_, WriteError>>()?;
         Ok(Self { writer, lanes, bag })
     }
@@ -111,6 +146,43 @@ impl Recorder {
         counts
     }
 
+    /// This file goes on after the earlier ones of the run: what is missing between the last of them and this one is
+    /// counted and said on the topic of gaps. For a recording that was announced as resumed; once, when all its streams
+    /// have begun. Returns how many samples fell between the files of the run, of the stream that lost most.
+    ///
+    /// # Errors
+    /// As [`LaneWriter::measured`].
+    pub fn continues(&mut self, before: &Before) -> Result<u64, WriteError> {
+        let mut most = 0;
+        for lane in &mut self.lanes {
+            for stream in Stream::ALL {
+                let (last, between) = before.of(stream, &lane.namespace);
+                let Some((header, hole)) = lane.sequences.between(stream, last) else { continue };
+                most = most.max(between + hole.count);
+                if hole.count == 0 {
+                    continue;
+                }
+                let mut batch = self.writer.batch();
+                lane.say(&mut batch, stream, &header, hole);
+                if !batch.end() {
+                    return Err(self.writer.failure());
+                }
+            }
+        }
+        Ok(most)
+    }
+
+    /// True once every stream that was announced has begun.
+    pub fn has_begun(&self) -> bool {
+        let begun = |lane: &Lane| Stream::ALL.iter().all(|s| lane.sequences.has(*s) || !lane.topics.holds(*s));
+        self.lanes.iter().all(begun)
+    }
+
+    /// The highest sequence number so far.
+    pub fn last_seq(&self) -> u64 {
+        self.lanes.iter().map(|lane| lane.sequences.last()).max().unwrap_or(0)
+    }
+
     /// Completes the file: what is left, a metadata record `lacuna.end` with the counts and `complete = true`,
     /// the index, the end mark; and the bag folder's `metadata.yaml`.
     ///
@@ -120,7 +192,7 @@ impl Recorder {
         let mut counts = self.counts();
         self.writer.metadata("lacuna.end", &counts.facts())?;
         let finished = self.writer.finish()?;
-        let topics: Vec<bag::Topic> = self.lanes.iter().flat_map(|l| l.topics.bag_topics(&finished)).collect();
+        let topics: Vec<bag::Topic> = self.lanes.iter().flat_map(|l| l.bag_topics(&finished)).collect();
         counts.messages = topics.iter().map(|t| (t.name.clone(), t.count)).collect();
         if let Some((folder, file)) = &self.bag {
             write_bag_metadata(folder, file, &topics, &finished)?;
@@ -191,8 +263,11 @@ impl LaneWriter<'_> {
             let what = format!("found a sample of stream {}, which was not announced", stream.name());
             return Err(BadInput::new(what).into());
         }
-        self.lane.sequences.saw(stream, header.seq);
+        let hole = self.lane.sequences.saw(stream, header);
         let mut batch = self.writer.batch();
+        if let Some(hole) = hole {
+            self.lane.say(&mut batch, stream, header, hole);
+        }
         write(&self.lane.topics, &mut batch);
         if batch.end() { Ok(()) } else { Err(self.writer.failure()) }
     }

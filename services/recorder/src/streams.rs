@@ -1,5 +1,6 @@
 //! Streams, their topics and their counts.
 
+use crate::before::hole;
 use crate::{Facts, WriteError};
 use lacuna_interfaces::{
     FrictionTorque, Header, JointMeasured, JointSmoothed, MAX_JOINTS, PayloadEstimate, ResidualWatch, TorqueModel, Wire,
@@ -94,14 +95,27 @@ impl Counts {
     }
 }
 
+/// Samples that are missing in a stream.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Hole {
+    /// Number of the first.
+    pub(crate) first: u64,
+    /// How many.
+    pub(crate) count: u64,
+}
+
 /// Sequence check of each stream.
 #[derive(Debug, Default)]
 pub(crate) struct Sequences {
     seen: [Seen; Stream::ALL.len()],
+    /// The file goes on after an earlier one: what is missing before its first samples is known later.
+    resumed: bool,
 }
 
 #[derive(Debug, Default, Clone, Copy)]
 struct Seen {
+    /// The first sample's header.
+    first: Option<Header>,
     last: u64,
     samples: u64,
     missing: u64,
@@ -109,16 +123,50 @@ struct Seen {
 }
 
 impl Sequences {
-    /// Takes note of a sample; the first of a stream should be number 1.
-    pub(crate) fn saw(&mut self, stream: Stream, seq: u64) {
+    pub(crate) fn new(resumed: bool) -> Self {
+        Self { resumed, ..Self::default() }
+    }
+
+    /// Takes note of a sample, and says what is missing before it; the first of a stream should be number 1.
+    pub(crate) fn saw(&mut self, stream: Stream, header: &Header) -> Option<Hole> {
         let seen = &mut self.seen[stream as usize];
+        let seq = header.seq;
         seen.samples += 1;
-        if seq > seen.last {
-            seen.missing += seq - seen.last - 1;
-            seen.last = seq;
-        } else {
-            seen.repeated += 1;
+        let begins = seen.first.is_none();
+        if begins {
+            seen.first = Some(*header);
         }
+        if seq <= seen.last {
+            seen.repeated += 1;
+            return None;
+        }
+        let hole = Hole { first: seen.last + 1, count: seq - seen.last - 1 };
+        seen.last = seq;
+        if hole.count == 0 || (begins && self.resumed) {
+            return None;
+        }
+        seen.missing += hole.count;
+        Some(hole)
+    }
+
+    /// What is missing between the end of `stream` in the file before (32 bits of its last number) and this file, with
+    /// the header of the sample after it, if one has come; counted from here on. Ask once.
+    pub(crate) fn between(&mut self, stream: Stream, last: u32) -> Option<(Header, Hole)> {
+        let seen = &mut self.seen[stream as usize];
+        let header = seen.first?;
+        let count = hole(last, header.seq as u32).min(header.seq.saturating_sub(1));
+        seen.missing += count;
+        Some((header, Hole { first: header.seq - count, count }))
+    }
+
+    /// True once a sample of `stream` has come.
+    pub(crate) fn has(&self, stream: Stream) -> bool {
+        self.seen[stream as usize].first.is_some()
+    }
+
+    /// The highest number of any stream.
+    pub(crate) fn last(&self) -> u64 {
+        self.seen.iter().map(|s| s.last).max().unwrap_or(0)
     }
 
     /// Adds the counts of the streams of `namespace`.
@@ -144,7 +192,7 @@ pub(crate) fn in_namespace(namespace: &str, name: &str) -> String {
 }
 
 /// `/before/residual`; without a namespace the topic as it is.
-fn full(namespace: &str, topic: &str) -> String {
+pub(crate) fn full(namespace: &str, topic: &str) -> String {
     if namespace.is_empty() { topic.to_owned() } else { format!("/{namespace}{topic}") }
 }
 
@@ -157,6 +205,11 @@ pub struct Topics {
     pub(crate) joints: usize,
     list: [Option<Topic>; NAMES.len()],
     status: Option<(Stream, StatusTopic)>,
+}
+
+/// Names of the topics of `stream` in a namespace.
+pub(crate) fn topics_of(stream: Stream, namespace: &str) -> impl Iterator<Item = String> {
+    NAMES.iter().filter(move |(of, ..)| *of == stream).map(move |(_, name, _)| full(namespace, name))
 }
 
 /// Topic names in the order of the constants of [`Topics`], with the stream they belong to and their type.
@@ -174,6 +227,7 @@ const NAMES: [(Stream, &str, &str); 11] = [
     (Stream::Watch, "/monitor", schema::RESIDUAL_WATCH.name),
 ];
 const STATUS: &str = "/status";
+pub(crate) const GAPS: &str = "/gaps";
 
 impl Topics {
     pub(crate) const MEASURED_DETAIL: usize = 0;

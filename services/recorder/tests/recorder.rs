@@ -4,8 +4,9 @@ mod common;
 
 use common::{TOPICS, config, header, record, robot, run, stamp};
 use lacuna_interfaces::{JointMeasured, PayloadEstimate, RepairKind, flag};
-use lacuna_recorder::{Branch, Recorder, Run, Stream};
-use lacuna_recording::{ReadOptions, open, open_with, read_all};
+use lacuna_recorder::{Before, Branch, Recorder, Run, Stream, before};
+use lacuna_recording::container::WriterOptions;
+use lacuna_recording::{ReadOptions, open, open_with, read_all, recover};
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -64,6 +65,88 @@ fn missing_and_repeated_sequence_numbers_are_counted() {
     assert_eq!(counts.repeated["measured"], 2);
     assert_eq!(counts.messages["/status"], 7, "the status comes with the last stream there is");
     assert!(!counts.lossless());
+    assert_eq!(gaps(&dir.path().join("a.mcap")), [(2, "measured".to_owned(), 1, 2), (8, "measured".to_owned(), 6, 3)]);
+}
+
+/// What the file says is missing: stamp of the sample after it [ms], stream, first number, count; read with the `mcap`
+/// crate, by the message's definition.
+fn gaps(path: &Path) -> Vec<(u64, String, u64, u64)> {
+    let bytes = std::fs::read(path).unwrap();
+    let mut found = Vec::new();
+    for message in mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap) {
+        if message.channel.topic != "/gaps" {
+            continue;
+        }
+        assert_eq!(message.channel.schema.as_ref().unwrap().name, "lacuna_msgs/msg/Gap");
+        // Encapsulation, stamp, empty frame (length 1, NUL, aligned), then the stream's name and two numbers.
+        let body = &message.data[4..];
+        let word = |at: usize| u32::from_le_bytes(body[at..at + 4].try_into().unwrap()) as usize;
+        let long = |at: usize| u64::from_le_bytes(body[at..at + 8].try_into().unwrap());
+        let (at, len) = (20, word(16));
+        let stream = std::str::from_utf8(&body[at..at + len - 1]).unwrap().to_owned();
+        let numbers = (at + len).next_multiple_of(8);
+        found.push((message.log_time / 1_000_000, stream, long(numbers), long(numbers + 8)));
+    }
+    found
+}
+
+#[test]
+fn a_recording_that_goes_on_says_what_is_missing_between_the_files() {
+    let dir = tempfile::tempdir().unwrap();
+    let robot = robot();
+    let path = |n: u32| dir.path().join(format!("{n}.mcap"));
+    let streams = [Stream::Measured, Stream::Payload];
+    let write = |n: u32, run_name: &str, seqs: std::ops::Range<u64>, cut: bool| {
+        let mut facts = run(&robot, &streams);
+        facts.resumed = n > 0;
+        facts.facts.insert("run".to_owned(), run_name.to_owned());
+        let more = "compression = \"none\"\nchunk_kib = 4";
+        let mut recorder = Recorder::new(&config(&path(n), more), &facts).unwrap();
+        for seq in seqs {
+            recorder.lane(0).unwrap().measured(&measured(seq)).unwrap();
+            // The stream behind it is ten samples late.
+            if seq > 10 {
+                let header = measured(seq - 10).header;
+                recorder.lane(0).unwrap().payload(&PayloadEstimate { header, ..PayloadEstimate::default() }).unwrap();
+            }
+        }
+        if cut {
+            drop(recorder);
+            let whole = std::fs::read(path(n)).unwrap();
+            std::fs::write(path(n), &whole[..whole.len() - 100]).unwrap();
+            return None;
+        }
+        Some(recorder)
+    };
+    assert!(write(0, "a", 1..501, true).is_none());
+    assert!(write(1, "another", 1..2000, true).is_none());
+    assert!(write(2, "a", 600..1001, true).is_none());
+    // Where the files end depends on what the cut took; an independent reader says it.
+    let last = |n: u32, topic: &str| {
+        let recovered = dir.path().join("whole.mcap");
+        let options = WriterOptions { overwrite: true, ..WriterOptions::default() };
+        recover(path(n), &recovered, &options).unwrap();
+        let bytes = std::fs::read(recovered).unwrap();
+        let messages = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+        u64::from(messages.filter(|m| m.channel.topic == topic).last().unwrap().sequence)
+    };
+    let ends = [(0, "/measured"), (2, "/measured"), (0, "/payload"), (2, "/payload")].map(|(n, topic)| last(n, topic));
+    let found = before((0..5).map(path), "a");
+    let mut recorder = write(3, "a", 1100..1201, false).unwrap();
+    assert!(recorder.has_begun());
+    let lost = recorder.continues(&found).unwrap();
+    let between =
+        |first_end: u64, begin: u64, second_end: u64, again: u64| (begin - first_end - 1) + (again - second_end - 1);
+    assert_eq!(lost, between(ends[0], 600, ends[1], 1100).max(between(ends[2], 590, ends[3], 1090)));
+    assert_eq!(recorder.last_seq(), 1200);
+    let counts = recorder.finish().unwrap();
+    let (measured, payload) = (1100 - ends[1] - 1, 1090 - ends[3] - 1);
+    assert_eq!((counts.missing["measured"], counts.missing["payload"]), (measured, payload));
+    let said = gaps(&path(3));
+    assert_eq!(said[0], (1100, "measured".to_owned(), ends[1] + 1, measured));
+    assert_eq!(said[1], (1090, "payload".to_owned(), ends[3] + 1, payload));
+    // Nothing before it that is of this run: all is missing.
+    assert_eq!(before((0..5).map(path), "b"), Before::default());
 }
 
 #[test]

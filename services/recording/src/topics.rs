@@ -158,6 +158,39 @@ fn write(
     to.message(channel, sequence, log_time(header.stamp_ns), |out| fill(template.append(out, header.stamp_ns)));
 }
 
+/// The `lacuna_msgs/Gap` topic: samples that are missing in the recording.
+#[derive(Debug, Clone)]
+pub struct GapTopic {
+    channel: ChannelId,
+    /// By stream.
+    templates: Vec<Template>,
+}
+
+impl GapTopic {
+    /// Declares it for the streams of these names.
+    ///
+    /// # Errors
+    /// [`WriteError`] if writing failed.
+    pub fn new(place: &mut impl Declare, topic: &str, streams: &[&str]) -> Result<Self, WriteError> {
+        let template = |stream: &&str| Builder::stamped().text(stream).scalar(8).scalar(8).template();
+        Ok(Self { channel: declare(place, topic, &schema::GAP)?, templates: streams.iter().map(template).collect() })
+    }
+
+    /// The channel.
+    pub fn channel(&self) -> ChannelId {
+        self.channel
+    }
+
+    /// Writes that `count` samples from number `first` on are missing in stream number `stream`, before the sample with
+    /// this header.
+    pub fn write(&self, to: &mut impl Messages, header: &Header, stream: usize, first: u64, count: u64) {
+        let Some(template) = self.templates.get(stream) else { return };
+        write(self.channel, template, to, header, |slots| {
+            slots.bytes(&first.to_le_bytes()).bytes(&count.to_le_bytes()).done();
+        });
+    }
+}
+
 /// The `lacuna_msgs/Status` topic: how samples fared on their way.
 #[derive(Debug, Clone)]
 pub struct StatusTopic {

@@ -121,3 +121,18 @@ fn a_damaged_chunk_is_an_error_and_recovery_steps_over_it() {
     assert!(left.len() > 800 && left.len() < 1000, "{}", left.len());
     assert_eq!(left.t_s.last(), Some(&0.999));
 }
+
+/// Found by fuzzing: names from a hostile file broke the one line of an error.
+#[test]
+fn a_name_with_line_ends_is_quoted_on_one_line() {
+    let dir = tempfile::tempdir().unwrap();
+    let eni = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/drives.xml");
+    let eni = std::fs::read_to_string(eni).unwrap().replace("<Name>Drive 1</Name>", "<Name>Dri\nve \u{9b}1</Name>");
+    std::fs::write(dir.path().join("drives.xml"), eni).unwrap();
+    let robot = "kind = \"serial\"\nname = \"pair\"\njoints = [\"a\", \"b\"]\n[[dh]]\n[[dh]]\n[drive]\ngear_ratio = [100, -50]\n\
+        encoder_bits = [20, 19]\nrated_torque_nm = [200, 80]\n[ethercat]\neni = \"drives.xml\"\n[[ethercat.axis]]\n\
+        slave = \"Drive 1\"\n[[ethercat.axis]]\nslave = \"Drive 2\"\n";
+    std::fs::write(dir.path().join("robot.toml"), robot).unwrap();
+    let line = lacuna_recording::load_robot(dir.path().join("robot.toml")).unwrap_err().to_string();
+    assert!(line.contains("Dri\\nve \\u{9b}1") && !line.contains(char::is_control), "{line:?}");
+}

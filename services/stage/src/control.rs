@@ -30,12 +30,15 @@ pub struct StageReport {
     pub received: std::collections::BTreeMap<String, u64>,
     /// Samples published.
     pub published: u64,
-    /// Number of the last sample (sources).
+    /// Number of the last sample (sources, and sinks that were started again; of these 32 bits will do).
     pub last_seq: u64,
     /// Deliveries that a live reader could not take (counted by the writer).
     pub dropped: u64,
     /// Samples missing in the input sequences (counted by the reader).
     pub missing: u64,
+    /// Samples that went by between this node's processes (recorders, which see it by their files).
+    #[serde(skip_serializing_if = "is_zero")]
+    pub while_down: u64,
     /// Largest resident size of the process [KiB].
     pub peak_rss_kib: u64,
     /// Latency per hop, from processes that end a chain.
@@ -44,6 +47,10 @@ pub struct StageReport {
     /// Whatever the stage itself reports (repairs of a reader, messages of a recorder).
     #[serde(skip_serializing_if = "serde_json::Value::is_null")]
     pub details: serde_json::Value,
+}
+
+fn is_zero(n: &u64) -> bool {
+    *n == 0
 }
 
 /// Counts of a process that is still running.

@@ -55,6 +55,11 @@ impl RunDir {
         &self.path
     }
 
+    /// Its name, unlike that of any other run.
+    pub fn name(&self) -> &str {
+        self.path.file_name().and_then(|n| n.to_str()).unwrap_or_default()
+    }
+
     /// The resolved graph.
     ///
     /// # Errors

@@ -32,6 +32,6 @@ pub use control::{Event, Gauge, HopLatency, Order, StageReport};
 pub use domain::{Domain, RunDir};
 pub use link_loop::{Carrier, Clocks, LinkContext, run_link};
 pub use process::Failure;
-pub use sink_loop::{Sink, SinkContext, run_sink};
+pub use sink_loop::{Resumption, Sink, SinkContext, run_sink};
 pub use source_loop::{Next, Source, SourceContext, run_source};
 pub use stage_loop::run_stage;

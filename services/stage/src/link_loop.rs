@@ -160,7 +160,7 @@ fn send<W: Wire, C: Carrier>(
     mut carrier: C,
 ) -> Result<StageReport, Failure> {
     let mut wake = Wake::open(domain, &process.node.name)?;
-    let mut input = Input::<W>::open(domain, &process.graph, topic)?;
+    let mut input = Input::<W>::open(domain, &process.graph, topic, process.buffer())?;
     let mut link = LinkWriter::<W>::open(domain, topic)?;
     carrier.start().map_err(Failure::run)?;
     settle(&mut carrier, process)?;

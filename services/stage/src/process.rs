@@ -158,6 +158,11 @@ impl Process {
         })
     }
 
+    /// Messages that each of its inputs can hold.
+    pub fn buffer(&self) -> usize {
+        self.graph.buffer_of(&self.node)
+    }
+
     pub fn domain(&self) -> Result<Domain, Failure> {
         Domain::join(&self.run, &self.node.name)
     }

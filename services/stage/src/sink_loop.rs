@@ -10,7 +10,7 @@ use crate::process::{Failure, Process, Pulse, main_with};
 use lacuna_interfaces::graph::{GraphFile, Mode};
 use lacuna_interfaces::{
     BadInput, FrictionTorque, JointMeasured, JointSmoothed, ModelFile, PayloadEstimate, ResidualWatch, RobotFile,
-    TorqueModel, Wire,
+    TorqueModel, Wire, flag,
 };
 use serde::de::DeserializeOwned;
 use std::process::ExitCode;
@@ -23,9 +23,9 @@ macro_rules! messages {
         enum AnyInput { $($name(Input<$name>),)* }
 
         impl AnyInput {
-            fn open(domain: &Domain, graph: &GraphFile, topic: &str, type_name: &str) -> Result<Self, Failure> {
+            fn open(domain: &Domain, process: &Process, topic: &str, type_name: &str) -> Result<Self, Failure> {
                 $(if type_name == $name::type_name() {
-                    return Ok(Self::$name(Input::open(domain, graph, topic)?));
+                    return Ok(Self::$name(Input::open(domain, &process.graph, topic, process.buffer())?));
                 })*
                 let known = [$($name::type_name()),*].join(", ");
                 Err(Failure::usage(format!(
@@ -41,15 +41,24 @@ macro_rules! messages {
                 match self { $(Self::$name(_) => $name::NAME,)* }
             }
 
-            /// Takes up to `BURST` samples; returns how many, and whether the stream ended.
-            fn drain(&mut self, take: &mut dyn FnMut(&str, AnyMessage<'_>, u64) -> Result<(), Failure>) -> Result<(usize, bool), Failure> {
+            /// Takes up to `BURST` samples; returns how many, and whether the stream ended. A sample after a hole carries
+            /// the flag "gap", and so does the first of a process that was `restarted`.
+            fn drain(&mut self, restarted: bool, take: &mut dyn FnMut(&str, AnyMessage<'_>, u64) -> Result<(), Failure>) -> Result<(usize, bool), Failure> {
                 match self { $(Self::$name(input) => {
                     for n in 0..BURST {
                         match input.receive()? {
                             None => return Ok((n, false)),
                             Some(Received::End) => return Ok((n, true)),
                             Some(Received::Sample { sample, missing }) => {
-                                take(input.topic(), AnyMessage::$name(&sample.payload().0), missing)?;
+                                let message = &sample.payload().0;
+                                if missing > 0 || (restarted && input.received() == 1) {
+                                    // Live only: the copy is worth it, the hole must travel with the sample.
+                                    let mut marked = *message;
+                                    marked.header.flags |= flag::GAP;
+                                    take(input.topic(), AnyMessage::$name(&marked), missing)?;
+                                } else {
+                                    take(input.topic(), AnyMessage::$name(message), missing)?;
+                                }
                             }
                         }
                     }
@@ -83,8 +92,19 @@ pub struct SinkContext<'a> {
     pub topics: &'a [(String, &'static str)],
     /// How often this node has been restarted in this run: what it wrote before must not be overwritten.
     pub restarts: u32,
+    /// Name of the run, unlike that of any other.
+    pub run: &'a str,
     /// Replay: wait rather than lose. Live: drop and count rather than wait.
     pub mode: Mode,
+}
+
+/// How a sink that was started again went on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Resumption {
+    /// Samples that went by between its processes: delivered to one that died with them, or sent while there was none.
+    pub while_down: u64,
+    /// Number of the last sample that one of its processes kept, 0 if it cannot say. 32 bits of it will do.
+    pub last_seq: u64,
 }
 
 /// Where a stream ends.
@@ -106,6 +126,12 @@ pub trait Sink: Sized {
 
     /// Nothing to read right now: a chance to flush.
     fn idle(&mut self);
+
+    /// What went by between the node's processes of this run; asked once, at the end of one that was started again. For
+    /// sinks that leave something behind which tells.
+    fn resumption(&mut self) -> Resumption {
+        Resumption::default()
+    }
 
     /// All streams ended (`complete`), or the process is being stopped before they did.
     ///
@@ -141,6 +167,7 @@ fn body<S: Sink>(process: &Process) -> Result<StageReport, Failure> {
         graph: &process.graph,
         topics: &topics,
         restarts: process.restarts,
+        run: process.run.name(),
         mode: process.graph.mode,
     };
     let mut sink = S::new(process.config()?, &context)?;
@@ -150,6 +177,10 @@ fn body<S: Sink>(process: &Process) -> Result<StageReport, Failure> {
     let mut latency = LatencyMeter::new();
     let mut pulse = Pulse::new();
     let result = pump(process, &mut sink, &mut inputs, &mut wake, &mut report, &mut latency, &mut pulse);
+    if result.is_ok() && process.restarts > 0 {
+        let Resumption { while_down, last_seq } = sink.resumption();
+        (report.while_down, report.last_seq) = (while_down, last_seq);
+    }
     let finished = sink.finish(result.is_ok()).map_err(Failure::run);
     result?;
     report.details = finished?;
@@ -162,7 +193,7 @@ fn open_inputs(domain: &Domain, process: &Process) -> Result<Vec<Option<AnyInput
     let mut inputs = Vec::new();
     for topic in &process.node.inputs {
         let type_name = wait_for_type(topic, &process.stop, || process.ended(topic))?;
-        inputs.push(type_name.map(|name| AnyInput::open(domain, &process.graph, topic, &name)).transpose()?);
+        inputs.push(type_name.map(|name| AnyInput::open(domain, process, topic, &name)).transpose()?);
     }
     Ok(inputs)
 }
@@ -186,7 +217,7 @@ fn pump<S: Sink>(
             let Some(input) = slot else { continue };
             // Asked before the buffer is looked at: what came until then is still taken.
             let left = process.ended(input.counts().0);
-            let (n, ended) = input.drain(&mut |topic, message, missing| {
+            let (n, ended) = input.drain(process.restarts > 0, &mut |topic, message, missing| {
                 meter.flags_of(message.header());
                 // The last topic has passed every stage: it tells the whole way.
                 if index == last {

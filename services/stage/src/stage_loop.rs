@@ -24,7 +24,7 @@ fn body<S: Stage>(process: &Process) -> Result<StageReport, Failure> {
         .map_err(|e| Failure::usage(format!("node \"{}\": {e}", process.node.name)))?;
     let domain = process.domain()?;
     let mut wake = Wake::open(&domain, &process.node.name)?;
-    let mut input = Input::<S::Input>::open(&domain, &process.graph, process.single_input()?)?;
+    let mut input = Input::<S::Input>::open(&domain, &process.graph, process.single_input()?, process.buffer())?;
     let topic = process
         .node
         .output

@@ -5,9 +5,11 @@ mod words;
 
 use crate::CommandResult;
 use crate::progress::Progress;
+use clap::builder::PossibleValuesParser;
 use clap::{Args, Subcommand};
 use lacuna_benches::conditions::{self, Conditions, Document};
 use lacuna_benches::latency::Variant;
+use lacuna_benches::stress::{KINDS, Stress};
 use lacuna_benches::{faults, latency, memory, soak, stages, stress, throughput};
 use lacuna_stage::Failure;
 use serde::Serialize;
@@ -79,9 +81,12 @@ enum What {
         /// Samples of a replay.
         #[arg(long, default_value_t = 1_000_000)]
         samples: u64,
-        /// Replays; the six kinds of stress take turns.
+        /// Replays; the kinds of stress take turns.
         #[arg(long, default_value_t = 100)]
         repeats: usize,
+        /// Kinds of stress; all six if not given.
+        #[arg(long, value_delimiter = ',', value_parser = PossibleValuesParser::new(KINDS.map(Stress::name)))]
+        only: Vec<String>,
         /// Seed of what happens when.
         #[arg(long, default_value_t = 1)]
         seed: u64,
@@ -152,8 +157,10 @@ pub fn bench(args: &BenchArgs) -> CommandResult {
             let fine = live.problems.is_empty() && replay.problems.is_empty();
             run.finish("faults", &Faults { live, replay }, Faults::text, fine)
         }
-        What::Stress { samples, repeats, seed } => {
-            let rows = stress::run(launch, *samples, *repeats, *seed, &mut progress).map_err(fail)?;
+        What::Stress { samples, repeats, only, seed } => {
+            let wanted = |kind: &Stress| only.is_empty() || only.iter().any(|name| name == kind.name());
+            let kinds: Vec<Stress> = KINDS.into_iter().filter(wanted).collect();
+            let rows = stress::run(launch, &kinds, *samples, *repeats, *seed, &mut progress).map_err(fail)?;
             drop(spinner);
             let fine = rows.iter().all(|r| r.lost == 0);
             run.finish("stress", &rows, |rows| rows.iter().map(stress_lines).collect(), fine)

@@ -22,6 +22,18 @@ enum Part {
     Soak(Document<soak::Soak>),
 }
 
+impl Part {
+    fn heading(&self) -> &'static str {
+        match self {
+            Self::Faults(_) => "SIGKILL at random moments",
+            Self::Stress(_) => "Lossless replay under stress",
+            Self::Latency(_) => "Live latency",
+            Self::Graph(_) => "Replay throughput",
+            Self::Soak(_) => "Soak",
+        }
+    }
+}
+
 /// `lacuna bench report`: writes the page, or prints it.
 pub fn make(files: &[PathBuf], write: Option<&Path>) -> CommandResult {
     let text = of_files(files)?;
@@ -43,7 +55,13 @@ fn of_files(files: &[PathBuf]) -> Result<String, Failure> {
         Part::Soak(_) => 4,
     });
     let mut out = String::from(HEAD);
+    let mut heading = "";
     for part in &parts {
+        // Figures of one kind under several conditions stand under one heading.
+        if part.heading() != heading {
+            heading = part.heading();
+            let _ = writeln!(out, "\n## {heading}");
+        }
         match part {
             Part::Faults(d) => faults(&mut out, d),
             Part::Stress(d) => stress_part(&mut out, d),
@@ -108,7 +126,7 @@ fn faults(out: &mut String, d: &Document<Faults>) {
     let live = &d.result.live;
     let _ = writeln!(
         out,
-        "\n## SIGKILL at random moments\n\n{} kills in {} live runs at {} Hz: {} of them while the graph was starting, \
+        "\n{} kills in {} live runs at {} Hz: {} of them while the graph was starting, \
          {} of a process that was just being started again. Time from the kill until the next process has passed on its \
          first sample; for the smoother that includes its lag.\n\n\
          | killed | kills | p50 [ms] | p95 [ms] | max [ms] |\n|---|---:|---:|---:|---:|",
@@ -128,13 +146,14 @@ fn faults(out: &mut String, d: &Document<Faults>) {
         out,
         "\n{} of {} holes carry the flag \"gap\" on the sample after them. Of {} raw samples due, {} are in the \
          recordings, {} were never published because the source was down, {} fell to a recorder that was down or had \
-         not written them yet, **{} are missing without such a reason**.",
+         not written them yet, {} it did not take in time and its file says so, **{} are missing without such a reason**.",
         live.flagged,
         live.holes,
         live.raw_due,
         live.raw_recorded,
         live.raw_unpublished,
         live.raw_recorder_down,
+        live.raw_overrun,
         live.raw_unexplained
     );
     let replay = &d.result.replay;
@@ -151,7 +170,7 @@ fn faults(out: &mut String, d: &Document<Faults>) {
 fn stress_part(out: &mut String, d: &Document<Vec<stress::Row>>) {
     let _ = writeln!(
         out,
-        "\n## Lossless replay under stress\n\n| stress | runs | samples complete | lost | failed loudly | samples/s |\n\
+        "\n| stress | runs | samples complete | lost | failed loudly | samples/s |\n\
          |---|---:|---:|---:|---:|---:|"
     );
     for r in &d.result {
@@ -172,7 +191,7 @@ fn stress_part(out: &mut String, d: &Document<Vec<stress::Row>>) {
 fn latency_part(out: &mut String, d: &Document<Vec<latency::Row>>) {
     let _ = writeln!(
         out,
-        "\n## Live latency\n\nPer hop from publication to publication, in µs. Drops as the writers counted them; the \
+        "\nPer hop from publication to publication, in µs. Drops as the writers counted them; the \
          readers miss exactly as many, or the benchmark fails.\n\n\
          | rate [Hz] | beside it | hop | p50 | p99 | p99.9 | max | dropped |\n|---:|---|---|---:|---:|---:|---:|---:|"
     );
@@ -188,10 +207,7 @@ fn latency_part(out: &mut String, d: &Document<Vec<latency::Row>>) {
 }
 
 fn graph(out: &mut String, d: &Document<Vec<throughput::Row>>) {
-    let _ = writeln!(
-        out,
-        "\n## Replay throughput\n\n| graph | samples/s | of the bare iceoryx2 chain | range |\n|---|---:|---:|---|"
-    );
+    let _ = writeln!(out, "\n| graph | samples/s | of the bare iceoryx2 chain | range |\n|---|---:|---:|---|");
     for r in &d.result {
         let [low, high] = r.ratio_range;
         let _ = writeln!(out, "| {} | {:.0} | {:.2} | {low:.2} to {high:.2} |", r.what, r.rate_per_s, r.ratio_to_bare);
@@ -203,7 +219,7 @@ fn soak_part(out: &mut String, d: &Document<soak::Soak>) {
     let s = &d.result;
     let _ = writeln!(
         out,
-        "\n## Soak\n\n{} samples in {:.0} s at {} Hz, {} restarts. Private memory and open files early (second tenth) \
+        "\n{} samples in {:.0} s at {} Hz, {} restarts. Private memory and open files early (second tenth) \
          and late (last tenth) in the run.\n\n| process | early [MiB] | late [MiB] | files early | late |\n\
          |---|---:|---:|---:|---:|",
         s.samples, s.seconds, s.rate_hz, s.restarts

@@ -39,8 +39,8 @@ impl Faults {
         let _ = writeln!(out, "  {} of {} holes carry the flag \"gap\"", l.flagged, l.holes);
         let _ = writeln!(
             out,
-            "  raw samples: {} due, {} recorded, {} not published (source down), {} while the recorder was down, {} missing without a reason",
-            l.raw_due, l.raw_recorded, l.raw_unpublished, l.raw_recorder_down, l.raw_unexplained
+            "  raw samples: {} due, {} recorded, {} not published (source down), {} while the recorder was down, {} not taken in time and said so in the file, {} missing without a reason",
+            l.raw_due, l.raw_recorded, l.raw_unpublished, l.raw_recorder_down, l.raw_overrun, l.raw_unexplained
         );
         let r = &self.replay;
         let _ = writeln!(

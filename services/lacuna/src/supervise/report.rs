@@ -105,9 +105,17 @@ impl Supervisor<'_> {
         Failure::run(format!("not ready after {seconds} s: {}", waiting.collect::<Vec<_>>().join(", ")))
     }
 
+    /// The highest number that a source gave.
+    fn samples(&self) -> u64 {
+        let sources = self.graph.nodes.iter().zip(&self.nodes).filter(|(n, _)| n.inputs.is_empty());
+        let each = sources.filter_map(|(_, state)| state.report.as_ref()).map(|r| r.last_seq.max(r.published));
+        each.max().unwrap_or(0)
+    }
+
     /// Holds the counts against each other.
     pub(super) fn report(&self, seconds: f64, stopped: bool) -> Result<RunReport, Failure> {
         let mut nodes = BTreeMap::new();
+        let samples = self.samples();
         let mut missing = 0;
         for (node, state) in self.graph.nodes.iter().zip(&self.nodes) {
             let report = match &state.report {
@@ -116,13 +124,11 @@ impl Supervisor<'_> {
                 None if self.graph.mode == Mode::Live => StageReport::default(),
                 None => return Err(Failure::run(format!("node \"{}\" ended without a report", node.name))),
             };
-            missing = missing.max(report.missing + state.carried.missing);
+            let down = if node.output.is_none() { report.while_down + after(samples, report.last_seq) } else { 0 };
+            missing = missing.max(report.missing + down + state.carried.missing);
             nodes.insert(node.name.clone(), report);
         }
         let restarts = self.nodes.iter().map(|n| n.restarts).sum();
-        let sources = self.graph.nodes.iter().filter(|n| n.inputs.is_empty());
-        let samples = sources.filter_map(|n| nodes.get(&n.name)).map(|r: &StageReport| r.last_seq.max(r.published));
-        let samples = samples.max().unwrap_or(0);
         // A restarted node counts anew, so then the holes are what the readers themselves saw.
         let lost = if restarts == 0 { missing.max(shortfall(self.graph, &nodes)) } else { missing };
         let mut faults: Vec<Fault> = self.nodes.iter().flat_map(|n| n.faults.iter().cloned()).collect();
@@ -139,6 +145,11 @@ impl Supervisor<'_> {
             nodes,
         })
     }
+}
+
+/// Samples after number `last`, of which 32 bits are known; 0 for a node that cannot say what it had last.
+fn after(samples: u64, last: u64) -> u64 {
+    if last == 0 || last > samples { 0 } else { (samples - last) % (1 << 32) }
 }
 
 /// Every reader against the writer of its topic: the largest number of samples that did not arrive.

@@ -9,8 +9,9 @@ use lacuna_interfaces::{
 use lacuna_recorder::{Attachment, Config, Recorder, Run, Stream, WriteError};
 use std::path::Path;
 
-pub const TOPICS: [&str; 12] = [
+pub const TOPICS: [&str; 13] = [
     "/friction",
+    "/gaps",
     "/measured",
     "/measured/detail",
     "/monitor",
@@ -46,6 +47,7 @@ pub fn run<'a>(robot: &'a RobotFile, streams: &'a [Stream]) -> Run<'a> {
         robot,
         streams,
         branches: &[],
+        resumed: false,
         live: false,
         attachments: vec![text("robot.toml", "kind = \"delta\""), text("graph.toml", "")],
         facts: [("source".to_owned(), "motion.csv".to_owned())].into(),

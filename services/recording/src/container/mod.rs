@@ -9,6 +9,7 @@
 
 mod back;
 mod chunk;
+mod extent;
 mod format;
 mod inspect;
 mod recover;
@@ -17,6 +18,7 @@ mod summary;
 mod writer;
 
 pub use chunk::Compression;
+pub use extent::{Extent, extent};
 pub(crate) use format::{ChannelRecord, SchemaRecord, metadata_of};
 pub use inspect::{FileInfo, TopicInfo, inspect, leading_attachments, topics};
 pub use recover::{Recovered, recover};

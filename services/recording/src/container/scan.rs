@@ -6,7 +6,7 @@ use super::format::{ChannelRecord, Fields, MESSAGE_HEADER, PREFIX, SchemaRecord}
 use crate::files::open_error;
 use lacuna_interfaces::BadInput;
 use mcap::records::op;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::ops::Range;
@@ -93,6 +93,35 @@ impl Scan {
     /// Bytes read so far; the whole file once the data section is through.
     pub(crate) fn position(&self) -> u64 {
         if self.ended { self.len } else { self.at }
+    }
+
+    /// Where the chunk of the last item begins.
+    pub(crate) fn chunk_offset(&self) -> u64 {
+        self.chunk_offset
+    }
+
+    /// Goes on at the `count`th chunk before the end, passing over the others by their lengths; `false` if there is no
+    /// chunk beyond the present one.
+    pub(crate) fn to_last_chunks(&mut self, count: usize) -> Result<bool, BadInput> {
+        self.chunk_at = None;
+        let mut starts = VecDeque::new();
+        while !self.ended {
+            let start = self.at;
+            let Some((opcode, len)) = self.prefix()? else { continue };
+            match opcode {
+                op::DATA_END | op::FOOTER => break,
+                op::CHUNK => starts.push_back(start),
+                _ => {}
+            }
+            if starts.len() > count {
+                starts.pop_front();
+            }
+            self.skip(len)?;
+        }
+        let Some(&start) = starts.front() else { return Ok(false) };
+        self.file.seek(SeekFrom::Start(start)).map_err(|e| self.unreadable(&e))?;
+        (self.at, self.ended, self.cut) = (start, false, false);
+        Ok(true)
     }
 
     /// True if the file turned out to stop before its proper end. Known once the end is reached.

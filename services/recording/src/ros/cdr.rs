@@ -42,6 +42,13 @@ impl Builder {
         self.bytes.push(0);
     }
 
+    /// `string`.
+    #[must_use]
+    pub fn text(mut self, text: &str) -> Self {
+        self.string(text);
+        self
+    }
+
     /// `string[]`.
     #[must_use]
     pub fn strings(mut self, list: &[String]) -> Self {

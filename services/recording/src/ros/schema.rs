@@ -41,6 +41,9 @@ pub const RESIDUAL_WATCH: Schema = Schema {
     text: include_str!("../../msg/lacuna_msgs/ResidualWatch.msg"),
     needs: STAMPED,
 };
+/// Samples that are missing.
+pub const GAP: Schema =
+    Schema { name: "lacuna_msgs/msg/Gap", text: include_str!("../../msg/lacuna_msgs/Gap.msg"), needs: STAMPED };
 /// Sequence, flags and latencies.
 pub const STATUS: Schema =
     Schema { name: "lacuna_msgs/msg/Status", text: include_str!("../../msg/lacuna_msgs/Status.msg"), needs: STAMPED };

@@ -33,14 +33,14 @@ pub struct Input<W: Wire> {
 }
 
 impl<W: Wire> Input<W> {
-    /// Opens the reading end of `topic`.
+    /// Opens the reading end of `topic` with room for `buffer` messages ([`GraphFile::buffer_of`]).
     ///
     /// # Errors
     /// [`Failure`] if the topic carries another message, or the bus refuses.
-    pub fn open(domain: &Domain, graph: &GraphFile, topic: &str) -> Result<Self, Failure> {
+    pub fn open(domain: &Domain, graph: &GraphFile, topic: &str, buffer: usize) -> Result<Self, Failure> {
         let port = open_topic::<W>(domain, graph, topic)?
             .subscriber_builder()
-            .buffer_size(graph.buffer)
+            .buffer_size(buffer)
             .create()
             .map_err(|e| Failure::run(format!("topic \"{topic}\": cannot read from it: {e:?}")))?;
         Ok(Self { topic: topic.to_owned(), port, mode: graph.mode, last_seq: None, received: 0, missing: 0 })

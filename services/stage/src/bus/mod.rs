@@ -172,7 +172,7 @@ fn open_topic<W: Wire>(domain: &Domain, graph: &GraphFile, topic: &str) -> Resul
     let spare = if graph.mode == Mode::Live { 2 } else { 0 };
     let room = Room {
         overflow: false,
-        buffer: graph.buffer,
+        buffer: graph.buffers(topic).1,
         writers: 1 + spare,
         readers: (readers + spare).max(1),
         nodes: readers + 2 + 2 * spare,

@@ -54,7 +54,8 @@ impl<W: Wire> Output<W> {
         let factory = open_topic::<W>(domain, graph, topic)?;
         let readers: Vec<String> = graph.readers(topic).map(|n| n.name.clone()).collect();
         let handler_stop = stop.clone();
-        let pause = blocked_pause(graph.buffer);
+        let smallest = graph.buffers(topic).0;
+        let pause = blocked_pause(smallest);
         let builder = factory.publisher_builder().max_loaned_samples(1);
         let builder = match graph.mode {
             Mode::Live => builder.backpressure_strategy(BackpressureStrategy::DiscardData),
@@ -99,7 +100,7 @@ impl<W: Wire> Output<W> {
             mode: graph.mode,
             expected: readers.len(),
             // Never more unannounced samples than fit half the buffer: a full buffer then implies a rung bell.
-            notify_every: NOTIFY_EVERY.min((graph.buffer as u32 / 2).max(1)),
+            notify_every: NOTIFY_EVERY.min((smallest as u32 / 2).max(1)),
             unnotified: 0,
             connected: false,
             stop: stop.clone(),

@@ -265,14 +265,16 @@ fn a_recorder_killed_in_a_live_run_goes_on_in_a_new_file() {
     assert!(counts.iter().all(|n| *n > 500), "{counts:?}");
     // What fell between the files is said in the second one, and in the run's report. The message ends with two numbers.
     let gaps = &messages(&second)["/gaps"];
-    let raw = gaps.iter().find(|(_, data)| data.windows(9).any(|w| w == b"measured\0")).expect("a gap in the raw stream");
+    let raw =
+        gaps.iter().find(|(_, data)| data.windows(9).any(|w| w == b"measured\0")).expect("a gap in the raw stream");
     let number = |from_end: usize| {
         let at = raw.1.len() - from_end;
         u64::from_le_bytes(raw.1[at..at + 8].try_into().expect("eight bytes"))
     };
     let (began, missing) = (number(16), number(8));
     assert_eq!((began, counts[0] + missing + counts[1]), (counts[0] + 1, report["samples"].as_u64().expect("samples")));
-    let [down, lost] = [&report["nodes"]["recorder"]["while_down"], &report["lost"]].map(|n| n.as_u64().expect("count"));
+    let [down, lost] =
+        [&report["nodes"]["recorder"]["while_down"], &report["lost"]].map(|n| n.as_u64().expect("count"));
     assert!(missing > 0 && missing <= down && down <= lost, "{missing} {down} {lost}");
     assert_eq!(out.status.code(), Some(3));
 }

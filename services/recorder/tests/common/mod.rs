@@ -9,9 +9,9 @@ use lacuna_interfaces::{
 use lacuna_recorder::{Attachment, Config, Recorder, Run, Stream, WriteError};
 use std::path::Path;
 
-pub const TOPICS: [&str; 13] = [
+/// Topics of a recording without holes that have messages.
+pub const TOPICS: [&str; 12] = [
     "/friction",
-    "/gaps",
     "/measured",
     "/measured/detail",
     "/monitor",

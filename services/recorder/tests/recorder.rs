@@ -65,7 +65,7 @@ fn missing_and_repeated_sequence_numbers_are_counted() {
     assert_eq!(counts.repeated["measured"], 2);
     assert_eq!(counts.messages["/status"], 7, "the status comes with the last stream there is");
     assert!(!counts.lossless());
-    assert_eq!(gaps(&dir.path().join("a.mcap")), [(2, "measured".to_owned(), 1, 2), (8, "measured".to_owned(), 6, 3)]);
+    assert_eq!(gaps(&dir.path().join("a.mcap")), [(3, "measured".to_owned(), 1, 2), (9, "measured".to_owned(), 6, 3)]);
 }
 
 /// What the file says is missing: stamp of the sample after it [ms], stream, first number, count; read with the `mcap`

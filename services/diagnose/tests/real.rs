@@ -130,7 +130,7 @@ fn torque_sensors_show_load_friction() {
     let findings = run(&options);
     let load = find(&findings, "load_friction").unwrap();
     assert!(load.joints.contains(&"joint_2".to_owned()), "{:?}", load.joints);
-    // Joint 4's gain error, known for this robot, is not found at present (docs/results/real.md).
+    // Joint 4's gain error, known for this robot, is not found at present (docs/RESULTS.md).
     assert!(load.held_out.reduction > 0.15);
 }
 

@@ -174,6 +174,7 @@ impl Plan {
     pub(crate) fn of(request: &Request<'_>, progress: &mut dyn FnMut(f64)) -> Result<Self, BadInput> {
         let mut messages = Messages::open(request.recording)?;
         let mut topics: Vec<Option<TopicPlan>> = Vec::new();
+        let mut spoken: Vec<bool> = Vec::new();
         let mut decoded = Decoded::default();
         let mut first_ns = i64::MAX;
         let mut read: u64 = 0;
@@ -185,6 +186,8 @@ impl Plan {
             while topics.len() < messages.topics().len() {
                 topics.push(chosen(&messages, topics.len(), request.topics));
             }
+            spoken.resize(topics.len(), false);
+            spoken.get_mut(message.topic).into_iter().for_each(|s| *s = true);
             let (Some(topic), Some(Some(plan))) = (messages.topic(message.topic), topics.get_mut(message.topic)) else {
                 continue;
             };
@@ -205,8 +208,11 @@ impl Plan {
             };
             return Err(BadInput::new(format!("found {there}; expected {wanted}")).in_file(path));
         }
-        let left_out = |(t, plan): (&MessageTopic, &Option<TopicPlan>)| plan.is_none().then(|| shown(t));
-        let left_out = messages.topics().iter().zip(&topics).filter_map(left_out).collect();
+        // A topic without a message leaves nothing out.
+        let left_out = |((t, plan), spoken): ((&MessageTopic, &Option<TopicPlan>), &bool)| {
+            (*spoken && plan.is_none()).then(|| shown(t))
+        };
+        let left_out = messages.topics().iter().zip(&topics).zip(&spoken).filter_map(left_out).collect();
         Ok(Self { table, topics, first_ns, left_out })
     }
 }

@@ -65,7 +65,7 @@ mod tests {
     #[test]
     fn spikes_are_counted_once_wherever_blocks_meet() {
         let mut spikes = Spikes::new(2);
-        let at = [5, 20_000, BLOCK - MARGIN - 1, BLOCK - MARGIN, BLOCK - 3, BLOCK + 2, 2 * BLOCK - 90, 2 * BLOCK + 500];
+        let at = [5, 20_000, BLOCK - MARGIN - 4, BLOCK - MARGIN, BLOCK - 3, BLOCK + 2, 2 * BLOCK - 90, 2 * BLOCK + 500];
         for k in 0..2 * BLOCK + 1000 {
             let mut m = JointMeasured::default();
             let wave = (k as f64 * 0.01).sin();

@@ -78,6 +78,17 @@ pub struct Intervals {
     pub of: BTreeMap<String, f64>,
 }
 
+impl Intervals {
+    /// That of a number that is not listed.
+    fn common(&self, kind: NumberKind) -> f64 {
+        match kind {
+            NumberKind::Amplitude => self.amplitude,
+            NumberKind::Shape => self.shape,
+            NumberKind::Event => self.event,
+        }
+    }
+}
+
 /// What was measured on simulated robots.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -158,12 +169,8 @@ impl Calibration {
 
     /// Error of a number that no noise explains, as a share of its size.
     pub fn law_error(&self, effect: &str, symbol: &str, kind: NumberKind) -> f64 {
-        let common = match kind {
-            NumberKind::Amplitude => self.intervals.amplitude,
-            NumberKind::Shape => self.intervals.shape,
-            NumberKind::Event => self.intervals.event,
-        };
-        self.intervals.of.get(&format!("{effect}.{symbol}")).copied().unwrap_or(common)
+        let own = self.intervals.of.get(&format!("{effect}.{symbol}")).copied();
+        own.unwrap_or_else(|| self.intervals.common(kind))
     }
 
     /// Probability that an effect (or its group) is there, and those of its rivals.

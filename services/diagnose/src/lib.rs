@@ -203,12 +203,8 @@ pub(crate) struct Found {
 impl Found {
     /// The search again, as it ended.
     fn search<'a>(&self, scene: &'a Scene, families: &'a [Family]) -> Search<'a> {
-        let search = Search::new(scene, families, self.base.target.clone(), self.limits.clone());
-        if let Some(rms) = &self.base_rms_nm {
-            // It is new: nothing is set yet.
-            let _ = search.base_rms_nm.set(rms.clone());
-        }
-        search
+        Search::new(scene, families, self.base.target.clone(), self.limits.clone())
+            .with_base_rms(self.base_rms_nm.clone())
     }
 
     fn fitted(&self) -> Fitted<'_> {

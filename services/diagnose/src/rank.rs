@@ -41,6 +41,11 @@ fn rms_of(v: &[f64]) -> f64 {
 impl Search<'_> {
     /// Whether a score is large enough to count, in evidence, in Nm and in folds.
     pub(crate) fn counts(&self, state: &State, ranked: &Ranked) -> bool {
+        self.counts_at(state, ranked, ranked.merit)
+    }
+
+    /// The same at another merit.
+    fn counts_at(&self, state: &State, ranked: &Ranked, merit: f64) -> bool {
         let event = ranked.atoms.iter().any(|a| self.families[a.family].event);
         let size = if event {
             self.event_over_floor(state, &ranked.score.size_nm)
@@ -49,7 +54,7 @@ impl Search<'_> {
         };
         // A delay that counts is longer than the half sample of tolerance, which has taken most of its torque already.
         let late = ranked.atoms.iter().any(|a| self.families[a.family].id() == "torque_delay");
-        ranked.merit > 0.0 && (size > 1.0 || late) && ranked.score.folds > 0.5
+        merit > 0.0 && (size > 1.0 || late) && ranked.score.folds > 0.5
     }
 
     /// Whether an effect takes a good part of a joint's residual, and does so on every single fold: a short
@@ -155,12 +160,9 @@ impl Search<'_> {
             let numbers: usize = r.atoms.iter().map(|a| a.width() + a.shape.len() + times(a)).sum();
             self.limits.column * numbers as f64
         };
-        let counts = |r: &Ranked| match scarce && near(r) {
-            true => self.counts(state, &Ranked { merit: r.merit.max(r.score.gain - common), ..r.clone() }),
-            false => self.counts(state, r),
-        };
+        let judged = |r: &Ranked| if scarce { r.merit.max(r.score.gain - common) } else { r.merit };
         let merit = |r: &Ranked| if scarce { r.score.gain - price(r) } else { r.merit };
-        let rivals = ranked.into_iter().filter(|r| near(r) && counts(r));
+        let rivals = ranked.into_iter().filter(|r| near(r) && self.counts_at(state, r, judged(r)));
         let simpler = |a: &Ranked, b: &Ranked| width(a).cmp(&width(b)).then(merit(b).total_cmp(&merit(a)));
         rivals.min_by(simpler).or(Some(best))
     }

@@ -126,6 +126,13 @@ impl<'a> Search<'a> {
         Self { scene, families, layout, target, limits, base_rms_nm: OnceLock::new() }
     }
 
+    /// The same search with the base's residual of an earlier one.
+    #[must_use]
+    pub fn with_base_rms(mut self, rms_nm: Option<Vec<f64>>) -> Self {
+        self.base_rms_nm = rms_nm.map(OnceLock::from).unwrap_or_default();
+        self
+    }
+
     /// The same search with evidence counted on whitened residuals.
     #[must_use]
     pub fn whitened(mut self, whitening: Whitening) -> Self {

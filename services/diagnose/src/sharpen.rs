@@ -28,12 +28,9 @@ pub(crate) fn sharpened(
     progress(0.78, "searching what is left, whitened");
     let residual = plain.residual(&selection.model, &selection.state);
     let whitening = Whitening::of(plain.scene, &residual, &coloured);
-    let search =
-        Search::new(plain.scene, plain.families, plain.target.clone(), plain.limits.clone()).whitened(whitening);
-    if let Some(rms) = plain.base_rms_nm.get() {
-        // It is new: nothing is set yet.
-        let _ = search.base_rms_nm.set(rms.clone());
-    }
+    let search = Search::new(plain.scene, plain.families, plain.target.clone(), plain.limits.clone())
+        .with_base_rms(plain.base_rms_nm.get().cloned())
+        .whitened(whitening);
     let Some(mut sharp) = search.select_from(base, selection.model.clone(), &[], progress) else {
         return Some(selection);
     };

@@ -91,19 +91,19 @@ fn covariance(rows: &[f64], back: &[u8], lag: usize) -> Vec<f64> {
     let mut counts = vec![0.0f64; ORDER + 1];
     for (k, reach) in back.iter().enumerate() {
         // Pairs at each lag as often as there are: what is longer apart is rarer.
-        for i in 0..=usize::from(*reach) {
+        for i in 1..=usize::from(*reach) {
             out[i] += rows[k] * rows[k - i * lag];
             counts[i] += 1.0;
         }
     }
-    let all = rows.iter().filter(|r| **r != 0.0).count().max(1) as f64;
     // Rows that nothing precedes count for the power as well.
-    out[0] = rows.iter().map(|r| r * r).sum::<f64>() / all * (1.0 + RIDGE);
-    let power = out[0];
+    let all = rows.iter().filter(|r| **r != 0.0).count().max(1) as f64;
+    let power = rows.iter().map(|r| r * r).sum::<f64>() / all * (1.0 + RIDGE);
+    out[0] = power;
     for i in 1..=ORDER {
         // A taper keeps the sequence positive definite where few pairs are far apart.
         let taper = 1.0 - i as f64 / (4.0 * (ORDER + 1) as f64);
-        out[i] = (out[i] / counts[i].max(1.0) * taper.min(1.0)).clamp(-0.999 * power, 0.999 * power);
+        out[i] = (out[i] / counts[i].max(1.0) * taper).clamp(-0.999 * power, 0.999 * power);
     }
     out
 }

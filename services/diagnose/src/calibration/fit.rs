@@ -135,21 +135,14 @@ fn intervals(numbers: &[&Number]) -> Intervals {
         if of.is_empty() { UNSEEN } else { stats::median(&of) }
     };
     let rounded = |f: f64| (f * 1e4).round() / 1e4;
-    let (amplitude, shape, event) =
-        (common(NumberKind::Amplitude), common(NumberKind::Shape), common(NumberKind::Event));
-    let of = points
-        .iter()
-        .map(|(name, (kind, n, point))| {
-            let common = match kind {
-                NumberKind::Amplitude => amplitude,
-                NumberKind::Shape => shape,
-                NumberKind::Event => event,
-            };
-            // A few small errors do not promise that the next is small; a few large ones are large.
-            let log = (n * point.ln() + FEW_NUMBERS * common.ln()) / (n + FEW_NUMBERS);
-            ((*name).to_owned(), rounded(log.exp().max(*point)))
-        })
-        .collect();
+    let [amplitude, shape, event] = [NumberKind::Amplitude, NumberKind::Shape, NumberKind::Event].map(common);
+    let unlisted = Intervals { amplitude, shape, event, of: BTreeMap::new() };
+    let own = |(name, (kind, n, point)): (&&str, &(NumberKind, f64, f64))| {
+        // A few small errors do not promise that the next is small; a few large ones are large.
+        let log = (n * point.ln() + FEW_NUMBERS * unlisted.common(*kind).ln()) / (n + FEW_NUMBERS);
+        ((*name).to_owned(), rounded(log.exp().max(*point)))
+    };
+    let of = points.iter().map(own).collect();
     Intervals { amplitude: rounded(amplitude), shape: rounded(shape), event: rounded(event), of }
 }
 

@@ -6,6 +6,7 @@ use lacuna_estimation::stats;
 use lacuna_interfaces::robot::Kind;
 use lacuna_physics::Motion;
 use lacuna_physics::effects::{self, Effect, EffectContext, Scope, Side, Track};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// What the model says so far, for candidates that depend on it.
@@ -215,8 +216,8 @@ impl Family {
         let parameters = self.parameters(ctx, joint, shape, &[]);
         let joints = self.joints(joint);
         let count = self.keep.len().max(1);
-        let mut out: Vec<Raw> = vec![Vec::with_capacity(scene.pieces.len()); count];
-        for (p, piece) in scene.pieces.iter().enumerate() {
+        let along = |p: usize| -> Vec<Vec<Vec<f64>>> {
+            let piece = &scene.pieces[p];
             let t_s: Vec<f64> = (0..piece.len()).map(|k| k as f64 / scene.rate_hz).collect();
             let track = Track {
                 t_s: &t_s,
@@ -231,26 +232,24 @@ impl Family {
                 temperature_degc: &piece.temperature,
                 resets: &[],
             };
-            let columns = self.effect.columns(&joints, &parameters, &robot, &track);
-            for (c, raw) in out.iter_mut().enumerate() {
-                let signals = match &columns {
-                    Ok(columns) => {
-                        let index = self
-                            .keep
-                            .get(c)
-                            .and_then(|s| self.effect.amplitudes(scene.robot.kind).position(|a| a.symbol == *s))
-                            .unwrap_or(0);
-                        (0..scene.joints)
-                            .map(|j| {
-                                let s = columns.column(index, j);
-                                if s.iter().all(|v| *v == 0.0) { Vec::new() } else { s.to_vec() }
-                            })
-                            .collect()
-                    }
-                    Err(_) => vec![Vec::new(); scene.joints],
-                };
-                raw.push(signals);
-            }
+            let Ok(columns) = self.effect.columns(&joints, &parameters, &robot, &track) else {
+                return vec![vec![Vec::new(); scene.joints]; count];
+            };
+            let at = |c: usize| {
+                let amplitude = self.keep.get(c);
+                amplitude.and_then(|s| self.effect.amplitudes(scene.robot.kind).position(|a| a.symbol == *s))
+            };
+            let signal = |index: usize, j: usize| match columns.column(index, j) {
+                s if s.iter().all(|v| *v == 0.0) => Vec::new(),
+                s => s.to_vec(),
+            };
+            (0..count).map(|c| (0..scene.joints).map(|j| signal(at(c).unwrap_or(0), j)).collect()).collect()
+        };
+        // A simulated column is dear: the recordings are simulated side by side.
+        let pieces: Vec<Vec<Vec<Vec<f64>>>> = (0..scene.pieces.len()).into_par_iter().map(along).collect();
+        let mut out: Vec<Raw> = vec![Vec::with_capacity(pieces.len()); count];
+        for piece in pieces {
+            out.iter_mut().zip(piece).for_each(|(raw, signals)| raw.push(signals));
         }
         out
     }

@@ -62,7 +62,8 @@ impl Search<'_> {
         let mut without = model.without(&[i]);
         let rest = self.fit(&mut without)?;
         let reach = if family.driven { (1.05, 1) } else { (1.25, 2) };
-        let (better, gain) = self.refine_within(&ctx, &without, &rest, &anew, reach);
+        let simulated = if family.driven { self.newton(&ctx, &without, &rest, &anew, reach.0) } else { None };
+        let (better, gain) = simulated.unwrap_or_else(|| self.refine_within(&ctx, &without, &rest, &anew, reach));
         model.atoms[i] = better;
         Some(gain)
     }

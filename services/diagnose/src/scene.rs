@@ -90,6 +90,11 @@ impl Column {
         self.white = OnceLock::new();
         &mut self.part
     }
+
+    /// Every row times `factor`.
+    pub(crate) fn scale(&mut self, factor: f64) {
+        self.rows_mut().iter_mut().flatten().for_each(|v| *v *= factor);
+    }
 }
 
 /// Signals at the full rate before the filter: `[piece][joint]`, empty where zero.

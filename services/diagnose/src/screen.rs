@@ -8,15 +8,19 @@ use crate::scene::Column;
 use crate::search::Search;
 use lacuna_physics::Motion;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Sub-steps a sample.
 const SUBSTEPS: usize = 6;
-/// Pieces that are looked at.
-const PIECES: usize = 2;
+/// Stretches that are looked at.
+const STRETCHES: usize = 2;
+/// Length of a stretch [s].
+const STRETCH_S: f64 = 5.0;
 
-/// Link of one joint along one piece.
+/// Link of one joint along a stretch of a piece.
 struct Link {
-    piece: usize,
+    /// Rows of the stretch.
+    rows: Range<usize>,
     torque: Vec<f64>,
     inertia: Vec<f64>,
 }
@@ -71,22 +75,28 @@ impl Search<'_> {
 
     fn links(&self, ctx: &Context<'_>, residual: &Column, j: usize) -> Vec<Link> {
         let scene = self.scene;
-        let mut pieces: Vec<(f64, usize)> = scene
-            .pieces
-            .iter()
-            .enumerate()
-            .map(|(p, piece)| (residual.part[j][piece.rows.clone()].iter().map(|v| v * v).sum::<f64>(), p))
-            .collect();
-        pieces.sort_by(|a, b| b.0.total_cmp(&a.0));
-        pieces
-            .into_iter()
-            .take(PIECES)
-            .map(|(_, p)| Link { piece: p, torque: ctx.link[p][j].clone(), inertia: self.own_inertia(ctx, p, j) })
-            .collect()
+        let length = ((STRETCH_S * scene.row_rate_hz()) as usize).max(1);
+        // The stretch with the largest residual of each piece, and of these the largest.
+        let energy = |rows: &Range<usize>| residual.part[j][rows.clone()].iter().map(|v| v * v).sum::<f64>();
+        let largest = |rows: Range<usize>| {
+            let starts = rows.clone().step_by(length).map(|a| a.min(rows.end.saturating_sub(length)).max(rows.start));
+            let stretches = starts.map(|a| a..(a + length).min(rows.end)).map(|s| (energy(&s), s));
+            stretches.max_by(|a, b| a.0.total_cmp(&b.0))
+        };
+        let pieces = scene.pieces.iter().enumerate();
+        let mut all: Vec<_> = pieces.filter_map(|(p, piece)| Some((p, largest(piece.rows.clone())?))).collect();
+        all.sort_by(|a, b| b.1.0.total_cmp(&a.1.0));
+        let link = |(p, (_, rows)): (usize, (f64, Range<usize>))| {
+            let start = (rows.start - scene.pieces[p].rows.start) * scene.stride;
+            let samples = start..(start + rows.len() * scene.stride).min(scene.pieces[p].len());
+            let torque = ctx.link[p][j][samples.clone()].to_vec();
+            Link { rows, torque, inertia: self.own_inertia(ctx, p, samples, j) }
+        };
+        all.into_iter().take(STRETCHES).map(link).collect()
     }
 
-    /// Link-side inertia of joint `j` along a piece.
-    fn own_inertia(&self, ctx: &Context<'_>, p: usize, j: usize) -> Vec<f64> {
+    /// Link-side inertia of joint `j` along samples of a piece.
+    fn own_inertia(&self, ctx: &Context<'_>, p: usize, samples: Range<usize>, j: usize) -> Vec<f64> {
         let scene = self.scene;
         let n = scene.joints;
         let piece = &scene.pieces[p];
@@ -96,7 +106,7 @@ impl Search<'_> {
         let body = scene.body.with_gravity([0.0; 3]);
         let rotor = ctx.rotor[j];
         let (mut q, mut tau) = (zero.clone(), zero.clone());
-        (0..piece.len())
+        samples
             .map(|k| {
                 for i in 0..n {
                     q[i] = piece.q[i][k];
@@ -118,8 +128,7 @@ impl Search<'_> {
             if !self.scene.smooth(&mut signal) {
                 return 0.0;
             }
-            let piece = &self.scene.pieces[link.piece];
-            for (i, row) in piece.rows.clone().enumerate() {
+            for (i, row) in link.rows.clone().enumerate() {
                 if self.scene.mask[j][row] {
                     let (r, c) = (residual.part[j][row], signal[i * self.scene.stride]);
                     rc += r * c;

@@ -46,6 +46,14 @@ struct State {
     force: Joints,
 }
 
+impl State {
+    /// Deflection and its rate `dt` later at the present acceleration.
+    fn ahead(&self, dt: f64) -> Self {
+        let e = std::array::from_fn(|i| self.e[i] + dt * (self.v[i] + 0.5 * dt * self.a[i]));
+        Self { e, v: std::array::from_fn(|i| self.v[i] + dt * self.a[i]), ..*self }
+    }
+}
+
 /// The link behind springs at some joints.
 #[derive(Debug)]
 pub(super) struct Compliance {
@@ -127,6 +135,37 @@ impl Compliance {
         Some(state)
     }
 
+    /// As [`Self::advance`] for one soft joint of link-side inertia `m` [kg m²]: the same steps without matrices.
+    fn advance_one(&self, from: &State, m: f64, load: f64, dt: f64) -> Option<State> {
+        let steps = (dt / SUBSTEP_S).ceil().clamp(SUBSTEPS, MOST_SUBSTEPS);
+        let h = dt / steps;
+        let d = 2.0 * self.zeta * (self.k * m).sqrt();
+        let held = m + 0.5 * h * d + 0.25 * h * h * self.k;
+        let flank_of = |e: f64| if e.abs() > self.gap { e.signum() } else { 0.0 };
+        let (mut e, mut v, mut a) = (from.e[0], from.v[0], from.a[0]);
+        for step in 1..=steps as u32 {
+            let force = from.force[0] + f64::from(step) / steps * (load - from.force[0]);
+            let (e_p, v_p) = (e + h * v + 0.25 * h * h * a, v + 0.5 * h * a);
+            let mut flank = flank_of(e);
+            for _ in 0..4 {
+                a = match flank != 0.0 || self.gap == 0.0 {
+                    true => (force - d * v_p - self.k * (e_p - self.gap * flank)) / held,
+                    false => force / m,
+                };
+                e = e_p + 0.25 * h * h * a;
+                let touching = flank_of(e);
+                if touching == flank || self.gap == 0.0 {
+                    break;
+                }
+                flank = touching;
+            }
+            v = v_p + 0.5 * h * a;
+        }
+        let first = |x: f64| std::array::from_fn(|i| if i == 0 { x } else { 0.0 });
+        let to = State { e: first(e), v: first(v), a: first(a), force: first(load) };
+        (e.is_finite() && v.is_finite()).then_some(to)
+    }
+
     /// One Newmark step. Which flanks touch is not known before it: iterated until it fits.
     fn substep(&self, from: &State, m: &Matrix, force: &Joints, h: f64) -> Option<State> {
         let n = self.soft.len();
@@ -178,16 +217,21 @@ impl Compliance {
             q_link[j] -= from.map_or(0.0, |from| from.e[i]);
         }
         let m = self.inertia(&q_link)?;
-        let mut state = from.unwrap_or_else(|| self.at_rest(s.tau_link_nm));
-        let mut load = *s.tau_link_nm;
-        // The load depends on where the link gets to: once from the old place, once from the new.
-        for _ in 0..2 {
-            load = self.force(s, &state, &extra)?;
-            state = match &from {
-                Some(from) => self.advance(from, &m, &load, s.dt_s)?,
-                None => self.at_rest(&load),
-            };
-        }
+        // The load depends on where the link gets to: it is taken where the present acceleration leads.
+        let (load, state) = match (&from, self.soft.as_slice()) {
+            (None, _) => {
+                let load = self.force(s, &self.at_rest(s.tau_link_nm), &extra)?;
+                (load, self.at_rest(&load))
+            }
+            (Some(from), soft) => {
+                let load = self.force(s, &from.ahead(s.dt_s), &extra)?;
+                let state = match *soft {
+                    [j] => self.advance_one(from, m[0][j], load[j], s.dt_s)?,
+                    _ => self.advance(from, &m, &load, s.dt_s)?,
+                };
+                (load, state)
+            }
+        };
         self.state = Some(state);
         Some(std::array::from_fn(|j| {
             let inertial: f64 = m.iter().zip(&state.a).map(|(column, a)| column[j] * a).sum();

@@ -3,6 +3,7 @@
 use crate::model::{BaseColumn, BaseRole, Model};
 use crate::scene::{Column, Raw, Scene};
 use crate::tolerance::{self, Tolerance};
+use rayon::prelude::*;
 
 /// Torque to be explained and the base columns.
 pub struct Base {
@@ -158,26 +159,51 @@ impl Base {
     /// of an arm, gravity and inertia hide what happens at a reversal.
     fn fit_widths(&mut self, scene: &Scene) {
         for _ in 0..2 {
-            let parts: Vec<&[Vec<f64>]> = self.columns.iter().map(|c| c.column.part.as_slice()).collect();
-            let Some(weight) = joint_weights(&parts, &self.target.part) else { return };
-            for j in 0..scene.joints {
-                let Some(own) = self.columns.iter().position(|c| c.role == BaseRole::Coulomb(j)) else { continue };
-                let others = self.columns.iter().enumerate().filter(|(i, _)| *i != own);
-                let others: Vec<&[Vec<f64>]> = others.map(|(_, c)| c.column.part.as_slice()).collect();
-                let Some(fit) = Beside::new(&others, &self.target.part, &weight) else { continue };
-                let best = WIDTHS.into_iter().map(|width| (fit.gain(j, &state(scene, j, width)), width));
-                let (gain, width) = best.fold((0.0, self.width[j]), |a, b| if b.0 > 1.001 * a.0 { b } else { a });
-                if gain > 0.0 {
-                    self.width[j] = width;
-                }
+            let columns: Vec<&Column> = self.columns.iter().map(|c| &c.column).collect();
+            let coulomb = |j| self.columns.iter().position(|c| c.role == BaseRole::Coulomb(j));
+            let own: Vec<Option<usize>> = (0..scene.joints).map(coulomb).collect();
+            match self.better_widths(scene, (&columns, &own), &self.target, &|_| 0.0) {
+                Some(width) => self.set_widths(scene, &width),
+                None => return,
             }
-            self.stick = sticks(scene, &self.width);
-            for j in 0..scene.joints {
-                let raw = only(scene, &self.stick, j);
-                if let Some(own) = self.columns.iter_mut().find(|c| c.role == BaseRole::Coulomb(j)) {
-                    own.column = scene.column(raw.clone());
-                    own.raw = raw;
-                }
+        }
+    }
+
+    /// Travels of the friction states [rad] that fit `target` better beside `columns`, of which `own` are the Coulomb
+    /// columns of the joints; none if no sum of squares falls by more than `least` of its joint's mean square.
+    pub(crate) fn better_widths(
+        &self,
+        scene: &Scene,
+        (columns, own): (&[&Column], &[Option<usize>]),
+        target: &Column,
+        least: &(dyn Fn(usize) -> f64 + Sync),
+    ) -> Option<Vec<f64>> {
+        let parts: Vec<&[Vec<f64>]> = columns.iter().map(|c| c.part.as_slice()).collect();
+        let weight = joint_weights(&parts, &target.part)?;
+        let best = |(j, own): (usize, &Option<usize>)| -> Option<f64> {
+            let others: Vec<&[Vec<f64>]> =
+                parts.iter().enumerate().filter(|(i, _)| Some(*i) != *own).map(|(_, c)| *c).collect();
+            let fit = Beside::new(&others, &target.part, &weight)?;
+            let gain = |width: f64| fit.gain(j, &state(scene, j, width));
+            let now = gain(self.width[j]);
+            let enough = 1.001 * now + least(j);
+            let (gain, width) = WIDTHS.into_iter().map(|w| (gain(w), w)).max_by(|a, b| a.0.total_cmp(&b.0))?;
+            (own.is_some() && gain > enough).then_some(width)
+        };
+        let found: Vec<Option<f64>> = own.par_iter().enumerate().map(best).collect();
+        let merged = found.iter().zip(&self.width).map(|(new, old)| new.unwrap_or(*old)).collect();
+        found.iter().any(Option::is_some).then_some(merged)
+    }
+
+    /// Takes other travels of the friction states [rad].
+    pub(crate) fn set_widths(&mut self, scene: &Scene, width: &[f64]) {
+        self.width = width.to_vec();
+        self.stick = sticks(scene, &self.width);
+        for j in 0..scene.joints {
+            let raw = only(scene, &self.stick, j);
+            if let Some(own) = self.columns.iter_mut().find(|c| c.role == BaseRole::Coulomb(j)) {
+                own.column = scene.column(raw.clone());
+                own.raw = raw;
             }
         }
     }
@@ -315,7 +341,7 @@ fn independent(fixed: &[&Column], columns: &[Column]) -> Vec<usize> {
 }
 
 /// Travels that are tried [rad].
-const WIDTHS: [f64; 5] = [2e-5, 1e-4, 3e-4, 1e-3, 3e-3];
+const WIDTHS: [f64; 8] = [2e-5, 5e-5, 1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3, 3.2e-3];
 
 /// Joint `j`'s friction state at a width, at the rows.
 fn state(scene: &Scene, j: usize, width: f64) -> Vec<f64> {

@@ -24,6 +24,13 @@ const CONTACT_NATS: f64 = 30.0;
 const CONTACT_OVER: f64 = 4.0;
 /// Share of the local residual power that a contact must explain.
 const CONTACT_SHARE: f64 = 0.8;
+/// Share of what a term explains at the time of a contact that the contact must be: laws hold to a few per cent on the
+/// average, and where they hold worst it looks like one.
+const CONTACT_LAW: f64 = 0.1;
+/// The same of terms that are the first order of their law.
+const CONTACT_FIRST_ORDER: f64 = 0.25;
+/// Share of the rows from which on a payload is carried all the time.
+const ALWAYS: f64 = 0.9;
 /// Gain that a contact must have at a second joint: a force on the tip is felt at all of them, the rest of a
 /// joint's own friction only at that joint [nats].
 const CONTACT_SECOND_NATS: f64 = 6.0;
@@ -109,6 +116,10 @@ impl Search<'_> {
             let next = self.viterbi(&residual, phi, mass, &weights);
             let same = next == carried;
             carried = next;
+            // What is carried all the time is part of the robot: masses are looked for elsewhere.
+            if self.always(&carried) {
+                return None;
+            }
             if same || !carried.iter().any(|c| *c) {
                 break;
             }
@@ -145,6 +156,17 @@ impl Search<'_> {
         let switches = atom.carries.len() as f64;
         let merit = score.gain - 2.0 * SWITCH_NATS * switches - self.limits.column - self.limits.entry[whole.family];
         Some(Ranked { atoms: vec![atom], score, merit })
+    }
+
+    /// Whether these are all rows that count but for beginnings and ends.
+    fn always(&self, rows: &[bool]) -> bool {
+        let counts = |row: &usize| self.scene.mask.iter().any(|m| m[*row]);
+        let (mut on, mut all) = (0usize, 0usize);
+        for row in (0..self.scene.rows).filter(counts) {
+            all += 1;
+            on += usize::from(rows.get(row).copied().unwrap_or(false));
+        }
+        on as f64 > ALWAYS * all as f64
     }
 
     /// Whether all these rows are in the same fold.
@@ -254,7 +276,8 @@ impl Search<'_> {
         let share = self.local_share(&residual, &frozen);
         // Where one contact is established another one, felt at a single joint, is no surprise.
         let another = model.atoms.iter().any(|a| a.family == family);
-        let merit = if share < CONTACT_SHARE || !(another || self.felt_elsewhere(state, &residual, &frozen)) {
+        let felt = another || self.felt_elsewhere(state, &residual, &frozen);
+        let merit = if share < CONTACT_SHARE || !felt || !self.over_law(model, state, &frozen) {
             -1.0
         } else {
             score.gain - CONTACT_NATS - self.limits.entry[family]
@@ -447,6 +470,27 @@ impl Search<'_> {
             })
             .count();
         felt >= self.scene.joints.min(2)
+    }
+
+    /// Whether a contact is more than what the terms found so far may be wrong by while it acts.
+    fn over_law(&self, model: &Model, state: &State, atom: &Atom) -> bool {
+        let rows = self.event_rows(atom);
+        let doubt = |j: usize, row: usize| -> f64 {
+            let of = |i: usize| -> f64 {
+                let term = &model.atoms[i];
+                let share = if self.families[term.family].first_order() { CONTACT_FIRST_ORDER } else { CONTACT_LAW };
+                let factors = state.fit.beta.get(model.slots(i)).unwrap_or_default();
+                let factor = |c: usize| if term.fixed { 1.0 } else { factors.get(c).copied().unwrap_or(0.0) };
+                share * term.columns.iter().enumerate().map(|(c, column)| factor(c) * at(column, j, row)).sum::<f64>()
+            };
+            (0..model.atoms.len()).map(of).sum()
+        };
+        let own = self.local_size(atom);
+        let law = |j: usize| {
+            let sum: f64 = rows.iter().map(|row| doubt(j, *row).powi(2)).sum();
+            (sum / rows.len().max(1) as f64).sqrt()
+        };
+        (0..self.scene.joints).any(|j| own[j] > law(j))
     }
 
     fn local_size(&self, atom: &Atom) -> Vec<f64> {

@@ -146,6 +146,11 @@ impl Family {
         self.keep.is_empty()
     }
 
+    /// Whether its columns are the first order of a law that is not linear in its numbers.
+    pub fn first_order(&self) -> bool {
+        matches!(self.effect.id, "link_length" | "encoder_offset" | "base_tilt")
+    }
+
     /// Joints of an instance at `joint`.
     pub fn joints(&self, joint: usize) -> Vec<usize> {
         match self.effect.scope {
@@ -255,7 +260,7 @@ impl Family {
     }
 
     /// Whether amplitudes are within the catalogue's bounds and large enough to mean something.
-    pub fn admissible(&self, ctx: &Context<'_>, shape: &[f64], amplitude: &[f64]) -> bool {
+    pub fn admissible(&self, ctx: &Context<'_>, joint: usize, shape: &[f64], amplitude: &[f64]) -> bool {
         let scene = ctx.scene;
         for (symbol, v) in self.keep.iter().zip(amplitude) {
             let Some(spec) = self.effect.parameters.iter().find(|p| p.symbol == *symbol) else { continue };
@@ -272,6 +277,8 @@ impl Family {
                 let (low, high) = delay_bounds(scene);
                 shape.first().is_some_and(|d| d.abs() > 0.6 / scene.rate_hz && *d > 0.98 * low && *d < 0.98 * high)
             }
+            // The smallest distance that is searched stands for a kink at reversals, not for friction that builds up.
+            "presliding" => shape.first().is_some_and(|d| *d > 1.1 * presliding_bounds(ctx, joint).0),
             "viscous_power" => shape.first().is_some_and(|p| (p - 1.0).abs() > 0.12),
             "thermal_viscous" if self.keep.first() == Some(&"b_T") => amplitude.first().is_some_and(|b| *b < 0.0),
             "load_friction" => amplitude.first().is_some_and(|m| *m < 0.6),
@@ -336,9 +343,13 @@ fn temperature(ctx: &Context<'_>, j: usize) -> Vec<ShapeRange> {
 }
 
 fn presliding(ctx: &Context<'_>, j: usize) -> Vec<ShapeRange> {
-    let span = (ctx.range[j].1 - ctx.range[j].0).min(1.0);
-    let (low, high) = (0.0015 * span, 0.12 * span);
+    let (low, high) = presliding_bounds(ctx, j);
     one("delta", log_grid(1.3 * low, 0.7 * high, 6), (low, high))
+}
+
+fn presliding_bounds(ctx: &Context<'_>, j: usize) -> (f64, f64) {
+    let span = (ctx.range[j].1 - ctx.range[j].0).min(1.0);
+    (0.0015 * span, 0.12 * span)
 }
 
 /// Stiffness of a spring that lets the link swing at `hz`.

@@ -37,6 +37,7 @@ pub mod select;
 mod sharpen;
 mod sim;
 pub mod split;
+mod surrogate;
 pub mod swap;
 pub mod swung;
 pub mod tolerance;
@@ -224,9 +225,13 @@ pub(crate) fn find(
     let whole = scene.counting();
     // What is found may say that some stretches must not count; then the search is run again without them. What does
     // not hold there was found in error, and its stretches count again.
-    for last in [false, false, false, true] {
+    let mut width: Option<Vec<f64>> = None;
+    for last in [false, false, false, false, true] {
         progress(0.1, "fitting the base");
-        let base = choose_base(scene);
+        let mut base = choose_base(scene);
+        if let Some(width) = &width {
+            base.set_widths(scene, width);
+        }
         let noise_nm = report::noise_floor(scene);
         let mut torque = base.torque.clone();
         if let Some(known) = known {
@@ -250,6 +255,11 @@ pub(crate) fn find(
             seeds.clear();
             drop(search);
             scene.count_again(&whole);
+            continue;
+        }
+        if let Some(better) = selection.width.clone().filter(|_| !last && width.is_none()) {
+            progress(0.1, &format!("again with friction that turns round over {better:.5?} rad"));
+            width = Some(better);
             continue;
         }
         if selection.blank.is_empty() || last {

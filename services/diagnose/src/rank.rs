@@ -77,7 +77,7 @@ impl Search<'_> {
         for atom in &atoms {
             let own = &score.amplitude[at..at + atom.width()];
             at += atom.width();
-            if !self.families[atom.family].admissible(ctx, &atom.shape, own) {
+            if !self.families[atom.family].admissible(ctx, atom.joint, &atom.shape, own) {
                 return None;
             }
         }

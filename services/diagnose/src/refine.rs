@@ -98,7 +98,7 @@ impl Search<'_> {
             family.shapes(ctx, atom.joint).unwrap_or_default().into_iter().map(|s| s.bounds).collect();
         let mut best = atom.clone();
         let value = |a: &Atom| match self.score(model, state, &[a]) {
-            Some(s) if family.admissible(ctx, &a.shape, &s.amplitude) => s.gain,
+            Some(s) if family.admissible(ctx, a.joint, &a.shape, &s.amplitude) => s.gain,
             _ => f64::NEG_INFINITY,
         };
         let mut best_value = value(&best);

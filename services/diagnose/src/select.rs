@@ -21,6 +21,8 @@ pub struct Selection {
     pub rivals: Vec<Rivals>,
     /// Stretches whose rows must not count because of what was found: the search is to be run again.
     pub blank: Vec<(f64, f64)>,
+    /// Travels of the friction states that fit better beside what was found [rad]: the search is to be run again.
+    pub width: Option<Vec<f64>>,
     /// Families of carried seeds that did not hold: what was left out for them should count again.
     pub fallen: Vec<usize>,
     /// Candidates of the last round that were not taken, best first, one per family.
@@ -29,6 +31,9 @@ pub struct Selection {
 
 /// How long a link may swing on after the beginning of a recording [s].
 const SWING_S: f64 = 0.4;
+
+/// Evidence for another travel of a friction state from which on the search begins anew with it [nats].
+const WIDTH_NATS: f64 = 10.0;
 
 /// Index of the largest value.
 fn largest(values: &[f64]) -> usize {
@@ -234,8 +239,10 @@ impl Search<'_> {
             ctx = context(self.scene, base, self, &model, Some(&state));
             self.tell(&model, &state, progress);
             let blank = self.blanks(&model, seeds);
-            if events && !blank.is_empty() {
-                return Some(Selection { model, state, rivals: Vec::new(), blank, fallen: Vec::new(), excluded });
+            let width = if events { self.widths(base, &model, &state) } else { None };
+            if events && !(blank.is_empty() && width.is_none()) {
+                let (rivals, fallen) = (Vec::new(), Vec::new());
+                return Some(Selection { model, state, rivals, blank, width, fallen, excluded });
             }
         }
         self.polish(base, &mut model, &mut state, Polish { rounds: 2, driven: true })?;
@@ -247,7 +254,17 @@ impl Search<'_> {
         // A soft joint may have become one with play: its swing at the beginning stays unknown.
         let mut fallen: Vec<usize> = seeds.iter().filter(|s| !s.carries.is_empty()).map(|s| s.family).collect();
         fallen.retain(|f| !model.atoms.iter().any(|a| a.family == *f));
-        Some(Selection { model, state, rivals, blank: Vec::new(), fallen, excluded })
+        Some(Selection { model, state, rivals, blank: Vec::new(), width: None, fallen, excluded })
+    }
+
+    /// Travels of the friction states that fit better beside `model`. They were fitted before what is missing was known,
+    /// and the wrong travel leaves a residual at every reversal that looks like friction which builds up.
+    fn widths(&self, base: &Base, model: &Model, state: &State) -> Option<Vec<f64>> {
+        let free = model.free_base();
+        let coulomb = |j| free.iter().position(|i| model.base[*i].role == BaseRole::Coulomb(j));
+        let own: Vec<Option<usize>> = (0..self.scene.joints).map(coulomb).collect();
+        let least = |j: usize| 2.0 * WIDTH_NATS / state.independent.get(j).copied().unwrap_or(1.0);
+        base.better_widths(self.scene, (&model.columns(), &own), &state.target, &least)
     }
 
     /// Tells the residual and what the tolerances took.

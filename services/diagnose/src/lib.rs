@@ -37,7 +37,6 @@ pub mod select;
 mod sharpen;
 mod sim;
 pub mod split;
-mod surrogate;
 pub mod swap;
 pub mod swung;
 pub mod tolerance;

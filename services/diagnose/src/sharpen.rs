@@ -6,7 +6,6 @@
 //! something off the error on the folds left out.
 
 use crate::base::Base;
-use crate::context::context;
 use crate::model::Atom;
 use crate::search::{Search, State};
 use crate::select::Selection;
@@ -29,13 +28,9 @@ pub(crate) fn sharpened(
     progress(0.78, "searching what is left, whitened");
     let residual = plain.residual(&selection.model, &selection.state);
     let whitening = Whitening::of(plain.scene, &residual, &coloured);
-    let ctx = context(plain.scene, base, plain, &selection.model, Some(&selection.state));
     let search = Search::new(plain.scene, plain.families, plain.target.clone(), plain.limits.clone())
         .with_base_rms(plain.base_rms_nm.get().cloned())
-        .with_surrogate_entries(&whitening, &ctx, (&selection.model, &selection.state))
         .whitened(whitening);
-    let entries = plain.families.iter().zip(&search.limits.entry).map(|(f, e)| format!("{} {e:.0}", f.key()));
-    progress(0.78, &format!("entries on moved residuals [nats]: {}", entries.collect::<Vec<_>>().join(", ")));
     let Some(mut sharp) = search.select_from(base, selection.model.clone(), &[], progress) else {
         return Some(selection);
     };

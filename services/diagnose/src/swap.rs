@@ -2,7 +2,7 @@
 
 use crate::base::Base;
 use crate::context::context;
-use crate::model::{Atom, Model};
+use crate::model::{Atom, BaseRole, Model};
 use crate::polish::Polish;
 use crate::rank::Ranked;
 use crate::search::{Search, State};
@@ -10,6 +10,9 @@ use rayon::prelude::*;
 
 /// How much better a rival must be to take an effect's place [nats].
 const SWAP_NATS: f64 = 8.0;
+/// Share of one of a joint's friction coefficients that must be left beside a power of its speed.
+const FRICTION_LEFT: f64 = 0.3;
+
 /// What else could explain what one effect explains.
 #[derive(Debug, Clone)]
 pub struct Rivals {
@@ -100,6 +103,18 @@ impl Search<'_> {
         Some(out)
     }
 
+    /// Whether a power of the speed only stands in the place of its joint's viscous and Coulomb friction: between a
+    /// constant and a line a power law can be both, and then says nothing that they do not.
+    fn is_own_friction(&self, atom: &Atom, with: (&Model, &[f64]), without: (&Model, &[f64])) -> bool {
+        let of = |(model, beta): (&Model, &[f64]), role: &BaseRole| {
+            model.base_values(beta).find(|(i, _)| model.base[*i].role == *role).map_or(0.0, |(_, v)| v)
+        };
+        let falls = |role: &BaseRole| of(with, role) < FRICTION_LEFT * of(without, role);
+        self.effect_of(atom) == "viscous_power"
+            && falls(&BaseRole::Viscous(atom.joint))
+            && falls(&BaseRole::Coulomb(atom.joint))
+    }
+
     /// Takes out terms that are no longer worth their columns.
     pub(crate) fn prune(
         &self,
@@ -111,7 +126,7 @@ impl Search<'_> {
             let mut worst: Option<(usize, f64)> = None;
             for i in 0..model.atoms.len() {
                 let atom = &model.atoms[i];
-                let fit = self.fit_without(model, state, &[i])?;
+                let (rest, fit) = self.model_without(model, state, &[i])?;
                 let loss = self.compare(state, &fit, &state.fit, Vec::new());
                 let size = self.over_floor(state, &loss.size_nm, std::slice::from_ref(atom));
                 // Orders of one ripple share the doubt whether there is a ripple.
@@ -121,7 +136,9 @@ impl Search<'_> {
                     });
                 let doubt = if alone { 0.5 * self.limits.entry[atom.family] } else { 0.0 };
                 let merit = loss.gain - self.limits.column * atom.width() as f64 - doubt;
-                let merit = if size < 0.8 && !self.families[atom.family].event { merit.min(-1.0) } else { merit };
+                let small = size < 0.8 && !self.families[atom.family].event;
+                let idle = small || self.is_own_friction(atom, (model, &state.fit.beta), (&rest, &fit.beta));
+                let merit = if idle { merit.min(-1.0) } else { merit };
                 if merit < 0.0 && worst.is_none_or(|(_, w)| merit < w) {
                     worst = Some((i, merit));
                 }

@@ -4,7 +4,7 @@
 use crate::balance;
 use crate::chain::{BareResult, bare, graph};
 use crate::load::Hog;
-use crate::{BenchError, motion};
+use crate::{BenchError, launch_file, motion};
 use lacuna_interfaces::graph::GraphFile;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -87,6 +87,7 @@ pub fn run(
     variant: Variant,
     progress: &mut dyn FnMut(&str),
 ) -> Result<Vec<Row>, BenchError> {
+    let text = launch_file(&launch.join("live.toml"))?;
     let dir = tempfile::tempdir()?;
     let file = |name: &str| dir.path().join(name);
     let samples = (rate_hz * seconds) as u64;
@@ -105,7 +106,7 @@ pub fn run(
     }
     progress(&format!("live graph at {rate_hz} Hz, {load}"));
     let live = file("live.toml");
-    std::fs::write(&live, variant.graph_text(&std::fs::read_to_string(launch.join("live.toml"))?)?)?;
+    std::fs::write(&live, variant.graph_text(&text)?)?;
     let text = |name: &str| file(name).display().to_string();
     let sets = [
         ("recording", text("run.csv")),

@@ -14,7 +14,8 @@ pub mod stages;
 pub mod stress;
 pub mod throughput;
 
-use std::path::PathBuf;
+use lacuna_interfaces::BadInput;
+use std::path::{Path, PathBuf};
 
 /// Why a benchmark could not be run.
 pub type BenchError = Box<dyn std::error::Error>;
@@ -27,6 +28,14 @@ fn beside(name: &str) -> Result<PathBuf, BenchError> {
     } else {
         Err(format!("{}: not built; build the whole workspace first", path.display()).into())
     }
+}
+
+/// A file of the launch folder.
+fn launch_file(path: &Path) -> Result<String, BenchError> {
+    std::fs::read_to_string(path).map_err(|e| {
+        let what = format!("cannot be read: {e}; expected a launch file (--launch names their folder)");
+        BadInput::new(what).in_file(path).into()
+    })
 }
 
 /// Median; 0 for none.

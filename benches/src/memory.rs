@@ -1,7 +1,7 @@
 //! Resident memory of every process after a short and a long replay: constant, or it is a leak.
 
 use crate::chain::graph;
-use crate::{BenchError, motion};
+use crate::{BenchError, launch_file, motion};
 use serde::Serialize;
 use std::path::Path;
 
@@ -21,6 +21,8 @@ pub struct Row {
 /// # Errors
 /// If a run fails.
 pub fn run(launch: &Path, short: u64, long: u64, progress: &mut dyn FnMut(&str)) -> Result<Vec<Row>, BenchError> {
+    let graph_file = launch.join("replay.toml");
+    launch_file(&graph_file)?;
     let dir = tempfile::tempdir()?;
     let file = |name: &str| dir.path().join(name);
     std::fs::write(file("robot.toml"), motion::ROBOT)?;
@@ -37,7 +39,7 @@ pub fn run(launch: &Path, short: u64, long: u64, progress: &mut dyn FnMut(&str))
             ("out", text("run.mcap")),
             ("overwrite", "true".to_owned()),
         ];
-        let report = graph(&launch.join("replay.toml"), &sets)?;
+        let report = graph(&graph_file, &sets)?;
         if report["samples"].as_u64() != Some(samples) || report["lost"].as_u64() != Some(0) {
             return Err(format!("{} of {samples} samples", report["samples"]).into());
         }

@@ -3,7 +3,7 @@
 use crate::balance::{self, Edge};
 use crate::chain::remaining;
 use crate::faults::kill;
-use crate::{BenchError, beside, motion};
+use crate::{BenchError, beside, launch_file, motion};
 use lacuna_interfaces::graph::GraphFile;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -52,6 +52,7 @@ pub struct Soak {
 /// # Errors
 /// If the run fails.
 pub fn run(launch: &Path, rate_hz: f64, seconds: f64, progress: &mut dyn FnMut(&str)) -> Result<Soak, BenchError> {
+    let live = launch_file(&launch.join("live.toml"))?;
     let dir = tempfile::tempdir()?;
     let file = |name: &str| dir.path().join(name).display().to_string();
     std::fs::write(file("robot.toml"), motion::ROBOT)?;
@@ -59,7 +60,7 @@ pub fn run(launch: &Path, rate_hz: f64, seconds: f64, progress: &mut dyn FnMut(&
     let each = LOOP_S.min(seconds);
     motion::write_csv(Path::new(&file("run.csv")), (rate_hz * each) as u64, rate_hz)?;
     let turns = (seconds / each).ceil() as usize;
-    let text = graph_text(&std::fs::read_to_string(launch.join("live.toml"))?, &file("run.csv"), turns, rate_hz)?;
+    let text = graph_text(&live, &file("run.csv"), turns, rate_hz)?;
     std::fs::write(file("graph.toml"), text)?;
     let child = Command::new(beside("lacuna")?)
         .arg("up")

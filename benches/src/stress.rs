@@ -4,7 +4,7 @@
 use crate::chain::remaining;
 use crate::faults::kill;
 use crate::load::Hog;
-use crate::{BenchError, beside, motion};
+use crate::{BenchError, beside, launch_file, motion};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use rustix::process::{Pid, Signal, kill_process};
@@ -85,13 +85,13 @@ pub fn run(
     seed: u64,
     progress: &mut dyn FnMut(&str),
 ) -> Result<Vec<Row>, BenchError> {
+    let text = launch_file(&launch.join("replay.toml"))?;
     let dir = tempfile::tempdir()?;
     let file = |name: &str| dir.path().join(name);
     std::fs::write(file("robot.toml"), motion::ROBOT)?;
     std::fs::write(file("model.toml"), motion::MODEL)?;
     progress("writing the recording");
     motion::write_csv(&file("run.csv"), samples, 1000.0)?;
-    let text = std::fs::read_to_string(launch.join("replay.toml"))?;
     let mut random = Pcg64::seed_from_u64(seed);
     let new = |&stress: &Stress| Row { stress, runs: 0, samples: 0, lost: 0, failed: Vec::new(), rate_per_s: 0.0 };
     let mut rows: Vec<Row> = kinds.iter().map(new).collect();

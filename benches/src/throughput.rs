@@ -1,7 +1,7 @@
 //! Replay throughput of the whole graph as a ratio to the bare chain, run in turns.
 
 use crate::chain::{bare, graph};
-use crate::{BenchError, median, motion};
+use crate::{BenchError, launch_file, median, motion};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -25,15 +25,16 @@ pub struct Row {
 /// # Errors
 /// If a run fails or loses samples.
 pub fn run(launch: &Path, samples: u64, turns: usize, progress: &mut dyn FnMut(&str)) -> Result<Vec<Row>, BenchError> {
+    let full = launch.join("replay.toml");
+    let text = launch_file(&full)?;
     let dir = tempfile::tempdir()?;
     let file = |name: &str| dir.path().join(name);
     std::fs::write(file("robot.toml"), motion::ROBOT)?;
     std::fs::write(file("model.toml"), motion::MODEL)?;
     progress("writing the recording");
     motion::write_csv(&file("run.csv"), samples, 1000.0)?;
-    let full = launch.join("replay.toml");
     let without = file("without-recorder.toml");
-    std::fs::write(&without, without_recorder(&std::fs::read_to_string(&full)?))?;
+    std::fs::write(&without, without_recorder(&text))?;
     let variants = [
         ("without recorder", &without, "zstd"),
         ("recorder, zstd", &full, "zstd"),

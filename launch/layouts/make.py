@@ -37,7 +37,8 @@ def panels(joints):
             ("Acceleration [rad/s²]", each("/smoothed/detail", "acceleration", "")),
         ],
         "Payload and alarms": [
-            ("Payload [kg]", [("/payload", "mass", None, "mass"), ("/payload", "mass_sd", None, "standard deviation")]),
+            # Its standard deviation is a thousand kilograms before the first motion: beside it no mass would be seen.
+            ("Payload [kg]", [("/payload", "mass", None, "mass")]),
             ("Residual after the payload [Nm]", each("/residual_payload", "effort", "")),
             ("Evidence of a mismatch: an alarm from 1 on", each("/monitor", "score", "")),
             ("Alarms", each("/monitor", "alarm", "")),
@@ -72,10 +73,11 @@ def foxglove(joints):
                 "showXAxisLabels": True,
                 "showYAxisLabels": True,
                 "showLegend": True,
-                "legendDisplay": "floating",
+                # Beside the curves, wide enough for names beside values of all digits.
+                "legendDisplay": "left",
                 "showPlotValuesInLegend": True,
                 "isSynced": True,
-                "sidebarDimension": 240,
+                "sidebarDimension": 280,
             }
         tabs.append({"title": tab, "layout": stack(ids)})
     config["Tab!lacuna"] = {"activeTabIdx": 0, "tabs": tabs}
@@ -131,7 +133,8 @@ def main():
     args = parser.parse_args()
     joints = args.joints.split(",")
     if len(set(joints)) != len(joints) or not all(joints) or len(joints) > 8:
-        sys.exit(f"--joints: found \"{args.joints}\"; expected 1 to 8 distinct names, with commas between them")
+        print(f"make.py: --joints: found \"{args.joints}\"; expected 1 to 8 distinct names, with commas between them", file=sys.stderr)
+        sys.exit(2)
     args.out.mkdir(parents=True, exist_ok=True)
     (args.out / "foxglove.json").write_text(foxglove(joints), encoding="utf-8")
     (args.out / "plotjuggler.xml").write_text(plotjuggler(joints), encoding="utf-8")

@@ -16,6 +16,7 @@ import sys
 import threading
 import time
 import tomllib
+import traceback
 
 import iceoryx2 as iox2
 
@@ -278,11 +279,18 @@ def body(stage_class, reads, writes):
     say("done", report=report)
 
 
+def give_up(reason, code):
+    reason = " ".join(str(reason).split())
+    say("failed", reason=f"{os.path.basename(sys.argv[0])}: {reason}", code=code)
+    sys.exit(code)
+
+
 def run_stage(stage_class, reads, writes):
     """`main` of a stage that reads and writes these messages."""
     try:
         body(stage_class, reads, writes)
     except (BadInput, Failed, OSError, tomllib.TOMLDecodeError, KeyError) as error:
-        code = 1 if isinstance(error, Failed) else 2
-        say("failed", reason=f"{os.path.basename(sys.argv[0])}: {error}", code=code)
-        sys.exit(code)
+        give_up(error, 1 if isinstance(error, Failed) else 2)
+    except Exception as error:
+        traceback.print_exc()
+        give_up(f"{type(error).__name__}: {error}", 1)

@@ -123,8 +123,53 @@ fn every_exit_code_is_given() {
     // 1: a process of the graph ends without a word.
     let dies = |i: usize| if i == 1 { "/bin/false".to_owned() } else { relay(i) };
     bench.write("dies.toml", &Chain::default().toml(dies));
-    let out = bench.lacuna(&["up", "dies.toml", "--quiet"]);
-    assert_eq!(out.status.code(), Some(1), "{}", error_line(&out));
+    for how in ["--quiet", "--json"] {
+        let out = bench.lacuna(&["up", "dies.toml", how]);
+        assert_eq!(out.status.code(), Some(1), "{}", error_line(&out));
+        assert!(out.stdout.is_empty(), "{}", String::from_utf8_lossy(&out.stdout));
+    }
+    // 1: nothing is wrong with the command, and what it prints on is full.
+    let Ok(full) = std::fs::OpenOptions::new().write(true).open("/dev/full") else {
+        eprintln!("SKIPPED: a full standard output: no /dev/full");
+        return;
+    };
+    for args in [&["messages", "--python"][..], &["status"], &["status", "--json"], &["up", "slow.toml", "--dry-run"]] {
+        let mut lacuna = Command::new(lacuna_tests::bin("lacuna"));
+        let out = lacuna.args(args).current_dir(bench.path()).stdout(full.try_clone().expect("handle")).output();
+        let out = out.expect("lacuna starts");
+        assert_eq!(out.status.code(), Some(1), "{args:?}");
+        assert!(error_line(&out).contains("standard output: cannot be written"), "{args:?}");
+    }
+}
+
+#[test]
+fn a_command_line_that_cannot_be_used_is_one_line() {
+    let bench = Bench::new();
+    for (args, words) in [
+        (&["uup"][..], &["lacuna: unrecognized subcommand 'uup'", "'up'", "see 'lacuna --help'"][..]),
+        (&["up", "g.toml", "--jsn"], &["lacuna up: unexpected argument '--jsn'", "'--json'", "see 'lacuna up --help'"]),
+        (&["identify"], &["lacuna identify: ", "--robot <FILE>, --out <FOLDER>"]),
+        (&["bench", "stress", "--only", "hogs"], &["lacuna bench stress: ", "'hogs'", "start-order", "exists: 'hog'"]),
+        (&["bench", "latency", "--rates", "0"], &["--rates: found 0"]),
+        (&["bench", "graph", "--launch", "nowhere"], &["nowhere/replay.toml", "--launch"]),
+    ] {
+        let out = bench.lacuna(args);
+        let line = error_line(&out);
+        assert_eq!((out.status.code(), out.stdout.len()), (Some(2), 0), "{line}");
+        assert!(line.starts_with("lacuna: "), "{line}");
+        assert!(words.iter().all(|w| line.contains(w)), "{words:?} belong in: {line}");
+    }
+    // Every executable of the graph says it likewise.
+    for name in ["source", "smoother", "torque", "friction", "payload", "monitor", "recorder", "live", "link"] {
+        let name = format!("lacuna-{name}");
+        let out =
+            Command::new(lacuna_tests::bin(&name)).args(["--run", ".", "--nod", "x"]).output().expect("it starts");
+        let line = error_line(&out);
+        assert_eq!(out.status.code(), Some(2), "{line}");
+        assert!(line.contains(&format!("{name}: unexpected argument '--nod'")) && line.contains("'--node'"), "{line}");
+        let help = Command::new(lacuna_tests::bin(&name)).arg("--help").output().expect("it starts");
+        assert!(help.status.success() && String::from_utf8_lossy(&help.stdout).contains("Usage: "), "{name}");
+    }
 }
 
 #[test]

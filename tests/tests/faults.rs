@@ -303,14 +303,28 @@ fn a_full_disk_is_one_line_and_what_was_written_reads() {
     csv(&bench, 60_000, 1000.0);
     let done = replay_to(&bench, "disk/run.mcap", &["compression=none"]);
     let recovered = bench.lacuna(&["recover", "disk/run.mcap", "whole.mcap"]);
+    bench.write("sim.toml", "[[trajectory]]\nkind = \"fourier\"\nduration_s = 3.0\ncount = 2\n");
+    let others = [
+        &["recover", "whole.mcap", "disk/again.mcap", "--json"][..],
+        &["export", "run.csv", "--robot", "robot.toml", "--to", "disk/t.csv", "--json"],
+        &["simulate", "--robot", "robot.toml", "--config", "sim.toml", "--out", "disk/rec", "--json"],
+        &["messages", "--python", "--out", "disk/m.py"],
+    ]
+    .map(|args| (args, bench.lacuna(args)));
     let unmounted = Command::new("umount").arg(&disk).status().is_ok_and(|s| s.success());
     let line = error_line(&done);
     assert_eq!(done.status.code(), Some(1), "{line}");
     assert!(line.contains("run.mcap") && line.contains("No space left"), "{line}");
     assert!(recovered.status.success(), "{}", String::from_utf8_lossy(&recovered.stderr));
+    // Whatever writes there: the input was right, so it failed and was not misused, and standard output is JSON or nothing.
+    for (args, out) in others {
+        let line = error_line(&out);
+        assert_eq!((out.status.code(), out.stdout.len()), (Some(1), 0), "{args:?}: {line}");
+        assert!(line.contains("disk/") && line.contains("No space left"), "{args:?}: {line}");
+    }
     let bytes = std::fs::read(bench.path().join("whole.mcap")).expect("file");
-    let messages = mcap::MessageStream::new(&bytes).expect("MCAP").map(|m| m.expect("a message")).count();
-    assert!(messages > 1000, "{messages}");
+    let messages = mcap::MessageStream::new(&bytes).expect("MCAP").collect::<Result<Vec<_>, _>>().expect("messages");
+    assert!(messages.len() > 1000, "{}", messages.len());
     assert!(unmounted);
 }
 

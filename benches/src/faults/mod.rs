@@ -12,7 +12,7 @@ mod recorded;
 pub mod replay;
 mod round;
 
-use crate::{BenchError, motion};
+use crate::{BenchError, launch_file, motion};
 use lacuna_interfaces::graph::GraphFile;
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
@@ -142,7 +142,7 @@ pub fn run(launch: &Path, options: &Options, progress: &mut dyn FnMut(&str)) -> 
 
 /// Names of the nodes of a launch file; at least one.
 fn nodes_of(path: &Path) -> Result<Vec<String>, BenchError> {
-    let graph = GraphFile::parse(&std::fs::read_to_string(path)?)?;
+    let graph = GraphFile::parse(&launch_file(path)?).map_err(|e| e.in_file(path))?;
     let names: Vec<String> = graph.nodes.into_iter().map(|n| n.name).collect();
     if names.is_empty() { Err(format!("{}: found no node", path.display()).into()) } else { Ok(names) }
 }

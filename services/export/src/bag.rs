@@ -63,7 +63,9 @@ fn check(to: &Path, force: bool) -> Result<(), ExportError> {
         |p: &PathBuf| p.file_name().is_some_and(|n| n == "metadata.yaml") || p.extension().is_some_and(|e| e == "mcap");
     match entries {
         Ok(list) if list.iter().all(belongs) && to.join("metadata.yaml").is_file() => Ok(()),
-        _ => Err(BadInput::new("found something that is no bag folder; --force replaces bags only").in_file(to).into()),
+        _ => Err(BadInput::new("found something that is no bag folder; expected one, as --force replaces bags only")
+            .in_file(to)
+            .into()),
     }
 }
 

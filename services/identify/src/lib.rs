@@ -56,5 +56,5 @@ pub use delay::Delay;
 pub use fit::{InstrumentCheck, InstrumentMotion, Instruments};
 pub use identify::{identify, identify_recordings};
 pub use options::{Method, Options};
-pub use outcome::{Identification, Outcome, ReportData, write};
+pub use outcome::{Identification, Outcome, ReportData};
 pub use split::{FileRange, Holdout};

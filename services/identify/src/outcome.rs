@@ -8,9 +8,8 @@ use crate::forward::Forward;
 use crate::paper::PaperResult;
 use crate::payload::PayloadRun;
 use crate::split::TimeRange;
-use lacuna_interfaces::{BadInput, ModelFile, Repair};
+use lacuna_interfaces::{ModelFile, Repair};
 use serde::Serialize;
-use std::path::Path;
 
 /// Schema string of [`Identification`].
 pub const SCHEMA: &str = "lacuna.identification/1";
@@ -225,18 +224,4 @@ pub struct Outcome {
     pub identification: Identification,
     /// Curves for the report.
     pub report: ReportData,
-}
-
-/// Writes `model.toml` and `identification.json` into `out_dir`, which is created.
-///
-/// # Errors
-/// [`BadInput`] with the file that cannot be written.
-pub fn write(outcome: &Outcome, out_dir: &Path) -> Result<(), BadInput> {
-    let fail = |path: &Path, e: &dyn std::fmt::Display| BadInput::new(format!("cannot be written: {e}")).in_file(path);
-    std::fs::create_dir_all(out_dir).map_err(|e| fail(out_dir, &e))?;
-    let path = out_dir.join("model.toml");
-    std::fs::write(&path, outcome.model.to_toml()?).map_err(|e| fail(&path, &e))?;
-    let path = out_dir.join("identification.json");
-    let text = serde_json::to_string_pretty(&outcome.identification).map_err(|e| fail(&path, &e))?;
-    std::fs::write(&path, text + "\n").map_err(|e| fail(&path, &e))
 }

@@ -60,7 +60,8 @@ fn record(robot: &RobotFile, motion: &Trajectory, truth: &Explanation) -> Vec<Re
     let reference = TwinReference { t_s, q_rad, start_s: 0.0 };
     let parameters: Vec<(&str, f64)> = truth.parameters.iter().map(|(s, v)| (s.as_str(), *v)).collect();
     let effect = TrueEffect::new(&truth.effect, &["q2"], &parameters);
-    let one = |seed| twin.simulate(std::slice::from_ref(&reference), &[effect.clone()], seed).unwrap().remove(0);
+    let one =
+        |seed| twin.simulate(std::slice::from_ref(&reference), std::slice::from_ref(&effect), seed).unwrap().remove(0);
     vec![one(1), one(2)]
 }
 

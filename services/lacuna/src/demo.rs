@@ -7,6 +7,7 @@
 use crate::CommandResult;
 use crate::progress::Progress;
 use crate::recorded::{Recorded, Series};
+use crate::words::{cannot_write, line};
 use clap::Args;
 use lacuna_identify::payload::{Moments, SETTLED};
 use lacuna_identify::{Method, Options, Outcome};
@@ -14,6 +15,8 @@ use lacuna_report::{JointTrace, NamedSeries, OverlayPicture, TorqueTrace, overla
 use lacuna_simulate::demo::{DEMO_PAYLOAD_KG, DEMO_ROBOT};
 use lacuna_simulate::{Demo, EventTruth, demo_delta, write_csv};
 use lacuna_stage::{Failure, HopLatency};
+use std::fmt::Write as _;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 
@@ -64,17 +67,19 @@ pub fn demo(args: &DemoArgs) -> CommandResult {
     let events = demo.pick_place.truth.events.values().next().cloned().unwrap_or_default();
     print_table_1(&free, &paper, &ours)?;
     print_table_2(&carried)?;
-    print_payload(&carried, &events);
-    print_run(&replay, &live);
+    print_payload(&carried, &events)?;
+    print_run(&replay, &live)?;
     if let Some(path) = &args.picture {
         draw(&free, path)?;
-        println!("\nPicture: {}", path.display());
+        line(format_args!("\nPicture: {}", path.display()))?;
     }
-    println!("\nRecordings: {} and {}", files.mcap("v_f.mcap").display(), files.mcap("v_p.mcap").display());
-    println!(
+    line(format_args!("\nRecordings: {} and {}", files.mcap("v_f.mcap").display(), files.mcap("v_p.mcap").display()))?;
+    line(format_args!(
         "Open them in Foxglove or Lichtblick (open local file), in PlotJuggler (drag and drop), or with `rerun FILE`;"
-    );
-    println!("plot /measured, /torque/nominal, /torque/rigid, /friction, /residual by joint name, and /payload.");
+    ))?;
+    line(format_args!(
+        "plot /measured, /torque/nominal, /torque/rigid, /friction, /residual by joint name, and /payload."
+    ))?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -112,7 +117,8 @@ impl Files {
         for (path, recording) in all.chain([(&files.test, test), (&files.pick_place, carried), (&files.short, &start)])
         {
             let file = std::fs::File::create(path).map_err(|e| cannot_write(path, &e))?;
-            write_csv(recording, &mut std::io::BufWriter::new(file)).map_err(|e| cannot_write(path, &e))?;
+            let mut out = std::io::BufWriter::new(file);
+            write_csv(recording, &mut out).and_then(|()| out.flush()).map_err(|e| cannot_write(path, &e))?;
         }
         Ok(files)
     }
@@ -120,10 +126,6 @@ impl Files {
     fn mcap(&self, name: &str) -> PathBuf {
         self.out.join(name)
     }
-}
-
-fn cannot_write(path: &Path, e: &dyn std::fmt::Display) -> Failure {
-    Failure::run(format!("{}: cannot be written: {e}", path.display()))
 }
 
 fn identify(files: &Files, method: Method) -> Result<Outcome, Failure> {
@@ -195,13 +197,14 @@ fn streams<'a, const N: usize>(recorded: &'a Recorded, topics: [&str; N]) -> Res
     found.try_into().map_err(|_| Failure::run("streams"))
 }
 
-fn print_row(name: &str, columns: &[Vec<(f64, f64)>], joint: usize) {
-    print!("  {name:<6}");
+fn print_row(name: &str, columns: &[Vec<(f64, f64)>], joint: usize) -> Result<(), Failure> {
+    let mut row = format!("  {name:<6}");
     for column in columns {
         let (mean, sd) = column.get(joint).copied().unwrap_or((f64::NAN, f64::NAN));
-        print!("  {mean:>8.2} {sd:>8.2}");
+        // Writing to a String cannot fail.
+        let _ = write!(row, "  {mean:>8.2} {sd:>8.2}");
     }
-    println!();
+    line(format_args!("{row}"))
 }
 
 fn print_table_1(free: &Recorded, paper: &Outcome, ours: &Outcome) -> Result<(), Failure> {
@@ -212,36 +215,41 @@ fn print_table_1(free: &Recorded, paper: &Outcome, ours: &Outcome) -> Result<(),
         moments(free, |k, j| measured.values[k][j] - rigid.values[k][j]),
         moments(free, |k, j| measured.values[k][j] - rigid.values[k][j] - friction.values[k][j]),
     ];
-    println!("Table 1. Torque error over v_F, a free motion not used for identification (Nm, moving samples)");
-    println!("  {:<6}  {:^17}  {:^17}  {:^17}", "", "M_KH", "M_Id", "M_Id+F");
-    println!("  {:<6}  {:>8} {:>8}  {:>8} {:>8}  {:>8} {:>8}", "", "μ", "σ", "μ", "σ", "μ", "σ");
+    line(format_args!(
+        "Table 1. Torque error over v_F, a free motion not used for identification (Nm, moving samples)"
+    ))?;
+    line(format_args!("  {:<6}  {:^17}  {:^17}  {:^17}", "", "M_KH", "M_Id", "M_Id+F"))?;
+    line(format_args!("  {:<6}  {:>8} {:>8}  {:>8} {:>8}  {:>8} {:>8}", "", "μ", "σ", "μ", "σ", "μ", "σ"))?;
     for j in 0..columns[0].len() {
-        print_row(&format!("τ{}", j + 1), &columns, j);
+        print_row(&format!("τ{}", j + 1), &columns, j)?;
     }
     if let Some(p) = &paper.identification.paper {
-        println!("  ρ1 = {:.3}, ρ2 = {:.3}; f_v = {:.2?} Nm s/rad; f_c = {:.2?} Nm", p.rho1, p.rho2, p.f_v, p.f_c);
+        line(format_args!(
+            "  ρ1 = {:.3}, ρ2 = {:.3}; f_v = {:.2?} Nm s/rad; f_c = {:.2?} Nm",
+            p.rho1, p.rho2, p.f_v, p.f_c
+        ))?;
     }
     let sd = |o: &Outcome| {
         o.identification.held_out.score.std_nm.iter().map(|v| format!("{v:.2}")).collect::<Vec<_>>().join(", ")
     };
-    println!(
+    line(format_args!(
         "  Offline on the same motion, σ per joint: paper's method {} Nm; all base parameters fitted together {} Nm.",
         sd(paper),
         sd(ours)
-    );
+    ))?;
     Ok(())
 }
 
 fn print_table_2(carried: &Recorded) -> Result<(), Failure> {
     let [without, with] = streams(carried, ["/residual", "/residual_payload"])?;
     let columns = [moments(carried, |k, j| without.values[k][j]), moments(carried, |k, j| with.values[k][j])];
-    println!(
+    line(format_args!(
         "\nTable 2. Torque error of M_Id+F over v_P, pick-and-place with {DEMO_PAYLOAD_KG} kg (Nm, moving samples)"
-    );
-    println!("  {:<6}  {:^17}  {:^17}", "", "m_p = 0", "m_p = m̂_p");
-    println!("  {:<6}  {:>8} {:>8}  {:>8} {:>8}", "", "μ", "σ", "μ", "σ");
+    ))?;
+    line(format_args!("  {:<6}  {:^17}  {:^17}", "", "m_p = 0", "m_p = m̂_p"))?;
+    line(format_args!("  {:<6}  {:>8} {:>8}  {:>8} {:>8}", "", "μ", "σ", "μ", "σ"))?;
     for j in 0..columns[0].len() {
-        print_row(&format!("τ{}", j + 1), &columns, j);
+        print_row(&format!("τ{}", j + 1), &columns, j)?;
     }
     Ok(())
 }
@@ -258,47 +266,52 @@ fn settling(payload: &Series, from: f64, until: f64, mass: f64, tolerance: f64) 
     lacuna_identify::payload::settling(&inside, from, mass, tolerance)
 }
 
-fn print_payload(carried: &Recorded, events: &[EventTruth]) {
-    println!(
+fn print_payload(carried: &Recorded, events: &[EventTruth]) -> Result<(), Failure> {
+    line(format_args!(
         "\nPayload m̂_p (settled: within {:.0} % of the true mass, or of zero, until the next event)",
         SETTLED * 100.0
-    );
+    ))?;
     let end = carried.payload.t_s.last().copied().unwrap_or(0.0);
     for (i, event) in events.iter().enumerate() {
         let next = events.get(i + 1).map_or(end, |e| e.t_on);
         let tolerance = SETTLED * event.mass;
         match settling(&carried.payload, event.t_on, event.t_off, event.mass, tolerance) {
-            Some((s, m)) => println!(
+            Some((s, m)) => line(format_args!(
                 "  pick  at {:6.3} s: settled after {s:.3} s at {m:.3} kg, error {:+.1} %",
                 event.t_on,
                 (m / event.mass - 1.0) * 100.0
-            ),
-            None => println!("  pick  at {:6.3} s: not settled before the place", event.t_on),
+            ))?,
+            None => line(format_args!("  pick  at {:6.3} s: not settled before the place", event.t_on))?,
         }
         match settling(&carried.payload, event.t_off, next, 0.0, tolerance) {
-            Some((s, m)) => println!("  place at {:6.3} s: zero after {s:.3} s, {m:+.3} kg", event.t_off),
-            None => println!("  place at {:6.3} s: not back to zero before the next pick", event.t_off),
+            Some((s, m)) => line(format_args!("  place at {:6.3} s: zero after {s:.3} s, {m:+.3} kg", event.t_off))?,
+            None => line(format_args!("  place at {:6.3} s: not back to zero before the next pick", event.t_off))?,
         }
     }
+    Ok(())
 }
 
-fn print_run(replay: &serde_json::Value, live: &serde_json::Value) {
+fn print_run(replay: &serde_json::Value, live: &serde_json::Value) -> Result<(), Failure> {
     let rate = replay["samples"].as_f64().unwrap_or(0.0) / replay["seconds"].as_f64().unwrap_or(f64::NAN);
-    println!(
+    line(format_args!(
         "\nGraph: 7 processes, replay of v_P at {:.0} samples/s including start and end, {} lost",
         rate, replay["lost"]
-    );
-    println!(
+    ))?;
+    line(format_args!(
         "Live at 1 kHz, latency per hop (µs)           p50       p99     p99.9       max    {} lost",
         live["lost"]
-    );
+    ))?;
     let names = ["source", "smoother", "torque", "friction", "payload", "monitor", "recorder"].map(str::to_owned);
     let hops: Vec<HopLatency> =
         serde_json::from_value(live["nodes"]["recorder"]["latency"].clone()).unwrap_or_default();
     for hop in hops {
         let label = lacuna_benches::latency::named(&hop.hop, &names);
-        println!("  {label:<38} {:>9.1} {:>9.1} {:>9.1} {:>9.1}", hop.p50_us, hop.p99_us, hop.p999_us, hop.max_us);
+        line(format_args!(
+            "  {label:<38} {:>9.1} {:>9.1} {:>9.1} {:>9.1}",
+            hop.p50_us, hop.p99_us, hop.p999_us, hop.max_us
+        ))?;
     }
+    Ok(())
 }
 
 fn draw(free: &Recorded, path: &Path) -> Result<(), Failure> {

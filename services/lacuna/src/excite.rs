@@ -1,8 +1,9 @@
 //! `lacuna excite`: a motion after which the parameters are known best, or on which two explanations of a mismatch
 //! differ most, within the robot's limits.
 
-use crate::CommandResult;
 use crate::progress::Progress;
+use crate::words::line;
+use crate::{CommandResult, words};
 use clap::Args;
 use lacuna_identify::excite::{
     ExciteOptions, Explanation, Separation, Trajectory, excite as design, separate as design_separation,
@@ -71,10 +72,13 @@ struct LimitsFile {
     q_max_rad: Option<lacuna_interfaces::robot::PerJoint>,
     qd_max_rad_s: Option<lacuna_interfaces::robot::PerJoint>,
     qdd_max_rad_s2: Option<lacuna_interfaces::robot::PerJoint>,
-    workspace_m: Option<[[f64; 3]; 2]>,
+    workspace_m: Option<Workspace>,
 }
 
-fn limits(path: &Path) -> Result<(Limits, Option<[[f64; 3]; 2]>), BadInput> {
+/// Lowest and highest corner of where the tip may go [m].
+type Workspace = [[f64; 3]; 2];
+
+fn limits(path: &Path) -> Result<(Limits, Option<Workspace>), BadInput> {
     let text = lacuna_recording::files::read_text(path)?;
     let file: LimitsFile = toml::from_str(&text).map_err(|e| BadInput::from_toml(&e, &text).in_file(path))?;
     let limits = Limits {
@@ -134,21 +138,21 @@ pub fn excite(args: &ExciteArgs) -> CommandResult {
     drop(progress);
     write(&motion.motion, &args.out, args.rate)?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&motion).map_err(|e| Failure::run(e.to_string()))?);
+        words::print_json(&motion)?;
         return Ok(ExitCode::SUCCESS);
     }
-    println!(
+    line(format_args!(
         "A motion of {} s within the limits; {} of the motions tried were within reach.",
         motion.motion.period_s, motion.feasible
-    );
-    println!("                      random motion   designed motion");
-    println!("condition number      {:>13.1}   {:>15.1}", motion.before.condition, motion.after.condition);
-    println!("log det information   {:>13.2}   {:>15.2}", motion.before.log_det, motion.after.log_det);
-    println!(
+    ))?;
+    line(format_args!("                      random motion   designed motion"))?;
+    line(format_args!("condition number      {:>13.1}   {:>15.1}", motion.before.condition, motion.after.condition))?;
+    line(format_args!("log det information   {:>13.2}   {:>15.2}", motion.before.log_det, motion.after.log_det))?;
+    line(format_args!(
         "Standard errors of the parameters shrink to 1/{:.2} of the random motion's (geometric mean).",
         motion.error_ratio
-    );
-    println!("File: {}", args.out.display());
+    ))?;
+    line(format_args!("File: {}", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -219,38 +223,38 @@ fn findings(path: &Path) -> Result<Vec<Explanation>, BadInput> {
 /// What `--separate` found, in words or as JSON.
 fn show(args: &ExciteArgs, found: &Separation) -> CommandResult {
     if args.json {
-        println!("{}", serde_json::to_string_pretty(found).map_err(|e| Failure::run(e.to_string()))?);
+        words::print_json(found)?;
         return Ok(ExitCode::SUCCESS);
     }
-    println!(
+    line(format_args!(
         "A motion of {} s within the limits; {} of the motions tried were within reach.",
         found.motion.period_s, found.feasible
-    );
+    ))?;
     for e in &found.explanations {
         let values: Vec<String> = e.parameters.iter().map(|(s, v)| format!("{s} = {v:.4}")).collect();
         let place = if e.joints.is_empty() { String::new() } else { format!(" on {}", e.joints.join(", ")) };
-        println!("  {}{place}: {}", e.effect, values.join(", "));
+        line(format_args!("  {}{place}: {}", e.effect, values.join(", ")))?;
     }
     let [a, b] = &found.explanations;
-    println!("Expected evidence for the truth, per period [nats]   usual excitation   designed motion");
+    line(format_args!("Expected evidence for the truth, per period [nats]   usual excitation   designed motion"))?;
     for (true_one, other, before, after) in
         [(a, b, found.before.first, found.after.first), (b, a, found.before.second, found.after.second)]
     {
         let what = format!("{} true, against {}", true_one.effect, other.effect);
-        println!("  {what:<48} {before:>18.1}   {after:>15.1}");
+        line(format_args!("  {what:<48} {before:>18.1}   {after:>15.1}"))?;
     }
     if found.after.least() < DECISIVE {
-        println!(
+        line(format_args!(
             "Even on this motion the two remain hard to tell apart ({:.1} nats): repeat it, or take a longer --period.",
             found.after.least()
-        );
+        ))?;
     }
-    println!("File: {}", args.out.display());
+    line(format_args!("File: {}", args.out.display()))?;
     Ok(ExitCode::SUCCESS)
 }
 
 fn write(motion: &Trajectory, path: &Path, rate: f64) -> Result<(), Failure> {
-    let fail = |e: std::io::Error| Failure::run(format!("{}: cannot be written: {e}", path.display()));
+    let fail = |e| words::cannot_write(path, &e);
     let mut out = BufWriter::new(std::fs::File::create(path).map_err(fail)?);
     motion.write_csv(rate, &mut out).map_err(fail)?;
     std::io::Write::flush(&mut out).map_err(fail)

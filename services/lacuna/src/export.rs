@@ -106,10 +106,10 @@ pub fn export(args: &ExportArgs) -> CommandResult {
 
 fn failure(e: ExportError) -> Failure {
     match e {
-        ExportError::Refused(bad) | ExportError::Recorder(lacuna_recording::container::WriteError::Refused(bad)) => {
-            bad.into()
-        }
-        other => Failure::run(other.to_string()),
+        ExportError::Refused(bad) => bad.into(),
+        ExportError::Recorder(e) => crate::recover::failure(e),
+        ExportError::Io { ref source, .. } => Failure::of_file(e.to_string(), source.kind()),
+        ExportError::Parquet { .. } => Failure::run(e.to_string()),
     }
 }
 

@@ -1,13 +1,12 @@
 //! `lacuna up`: from a graph file to running processes and a summary.
 
-use crate::CommandResult;
-use crate::runs;
 use crate::supervise::{RunReport, Supervisor};
+use crate::{CommandResult, runs, words};
 use clap::Args;
 use lacuna_interfaces::graph::{GraphFile, Mode};
 use lacuna_interfaces::robot::TorqueUnit;
 use lacuna_stage::Failure;
-use std::io::Write;
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -48,9 +47,8 @@ pub fn pairs(set: &[String]) -> Result<Vec<(String, String)>, Failure> {
 /// Reads and resolves a graph file.
 fn load(args: &UpArgs) -> Result<GraphFile, Failure> {
     let overrides = pairs(&args.set)?;
-    let text = std::fs::read_to_string(&args.graph)
-        .map_err(|e| Failure::usage(format!("{}: cannot read: {e}", args.graph.display())))?;
-    let graph = GraphFile::parse(&text).and_then(|g| g.resolve(&overrides)).map_err(|e| e.in_file(&args.graph))?;
+    let (file, _) = lacuna_recording::load_graph(&args.graph)?;
+    let graph = file.resolve(&overrides).map_err(|e| e.in_file(&args.graph))?;
     if args.only.is_empty() { Ok(graph) } else { Ok(graph.only(&args.only).map_err(|e| e.in_file(&args.graph))?) }
 }
 
@@ -78,7 +76,7 @@ pub fn up(args: UpArgs) -> CommandResult {
     let graph = load(&args)?;
     if args.dry_run {
         let (_, executables) = check(&graph)?;
-        print_plan(&graph, &executables);
+        words::say(&plan(&graph, &executables))?;
         return Ok(ExitCode::SUCCESS);
     }
     run(&graph, &args.graph, args.json, args.quiet)
@@ -99,21 +97,20 @@ fn check(graph: &GraphFile) -> Result<(TorqueUnit, Vec<PathBuf>), Failure> {
 pub fn run(graph: &GraphFile, path: &Path, json: bool, quiet: bool) -> CommandResult {
     let (torque_unit, executables) = check(graph)?;
     let dir = runs::create(&graph.name)?;
-    let report = Supervisor::start(path, graph, &executables, &dir, !quiet && !json)?.run()?;
+    let started = Supervisor::start(path, graph, &executables, &dir, !quiet && !json);
+    // A run that never began has nothing to tell later.
+    let report = started.inspect_err(|_| drop(std::fs::remove_dir_all(&dir)))?.run()?;
     if json {
-        let text = serde_json::to_string_pretty(&report).map_err(|e| Failure::run(e.to_string()))?;
-        println!("{text}");
+        words::print_json(&report)?;
     } else if !quiet {
-        print_summary(graph, &report);
-        if torque_unit != TorqueUnit::Nm {
-            println!("  all torques of this robot are in {}, as its file says", torque_unit.symbol());
-        }
+        words::say(&summary(graph, &report, torque_unit))?;
     }
     Ok(if report.lost > 0 { ExitCode::from(3) } else { ExitCode::SUCCESS })
 }
 
-fn print_plan(graph: &GraphFile, executables: &[PathBuf]) {
-    let mut out = std::io::stdout().lock();
+fn plan(graph: &GraphFile, executables: &[PathBuf]) -> String {
+    let mut out = String::new();
+    // Writing to a String cannot fail.
     let mode = if graph.mode == Mode::Replay { "replay, lossless" } else { "live, drops are counted" };
     let _ = writeln!(out, "graph {} ({mode}, buffer {})", graph.name, graph.buffer);
     let _ = writeln!(out, "robot {}", graph.robot);
@@ -132,10 +129,12 @@ fn print_plan(graph: &GraphFile, executables: &[PathBuf]) {
             node.buffer.map_or_else(String::new, |n| format!(" (buffer {n})"))
         );
     }
+    out
 }
 
-fn print_summary(graph: &GraphFile, report: &RunReport) {
-    let mut out = std::io::stdout().lock();
+fn summary(graph: &GraphFile, report: &RunReport, torque_unit: TorqueUnit) -> String {
+    let mut out = String::new();
+    // Writing to a String cannot fail.
     let rate = report.samples as f64 / report.seconds.max(1e-9);
     let _ =
         writeln!(out, "{}: {} samples in {:.2} s ({:.0} samples/s)", graph.name, report.samples, report.seconds, rate);
@@ -160,4 +159,8 @@ fn print_summary(graph: &GraphFile, report: &RunReport) {
     if report.lost > 0 {
         let _ = writeln!(out, "  {} samples were LOST on the way; see the node counts with --json", report.lost);
     }
+    if torque_unit != TorqueUnit::Nm {
+        let _ = writeln!(out, "  all torques of this robot are in {}, as its file says", torque_unit.symbol());
+    }
+    out
 }

@@ -193,7 +193,7 @@ pub fn identify(args: &IdentifyArgs) -> CommandResult {
     let origin = Origin { label: args.label.as_deref(), set: job.set(), recordings: &recordings };
     let rows = result_rows::identify(&outcome.identification, &origin)?;
     let stage = job.stage(&args.out)?;
-    lacuna_identify::write(&outcome, stage.path())?;
+    write(&outcome, stage.path())?;
     words::write(&stage.path().join("report.html"), html.as_bytes())?;
     words::write(&stage.path().join("result.parquet"), &rows)?;
     if let Some(text) = urdf {
@@ -209,6 +209,13 @@ pub fn identify(args: &IdentifyArgs) -> CommandResult {
         words::say(&(summary(&outcome) + &files))?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+fn write(outcome: &Outcome, out: &Path) -> Result<(), Failure> {
+    let text = serde_json::to_string_pretty(&outcome.identification)
+        .map_err(|e| Failure::run(format!("identification.json: {e}")))?;
+    words::write(&out.join("identification.json"), (text + "\n").as_bytes())?;
+    words::write(&out.join("model.toml"), outcome.model.to_toml()?.as_bytes())
 }
 
 /// All that the result depends on, and the recordings' names.

@@ -6,14 +6,11 @@ use crate::survey::{Surveyed, survey_of, survey_words};
 use crate::{CommandResult, words};
 use clap::Args;
 use lacuna_interfaces::{BadInput, MAX_JOINTS, Repair, RobotFile, flag};
-use lacuna_recording::formats::{SNIFF_BYTES, detect};
 use lacuna_recording::{FileInfo, ReadOptions, inspect};
 use lacuna_report::number::significant;
-use lacuna_stage::Failure;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -112,15 +109,16 @@ struct Joint {
 pub fn info(args: &InfoArgs) -> CommandResult {
     let progress = Progress::bar();
     progress.step("reading");
-    let mcap = mcap_file(&args.file)?;
-    let container = mcap.as_deref().map(inspect).transpose()?.map(|info| container(&info));
-    let recording = match (&args.robot, &container) {
-        (Some(robot), _) => {
+    let container = match lacuna_recording::is_mcap(&args.file)? {
+        true => Some(container(&inspect(lacuna_recording::file_of(&args.file)?)?)),
+        false => None,
+    };
+    let recording = match &args.robot {
+        Some(robot) => {
             let robot = lacuna_recording::load_robot(robot)?.file;
             Some(contents(&args.file, args.topic.clone(), &robot, &progress)?)
         }
-        (None, Some(_)) => None,
-        (None, None) => None,
+        None => None,
     };
     let survey = if args.robot.is_none() { lacuna_recording::survey(&args.file)?.map(|s| survey_of(&s)) } else { None };
     drop(progress);
@@ -141,31 +139,6 @@ pub fn info(args: &InfoArgs) -> CommandResult {
         words::say(&text)?;
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// The MCAP file that `path` is or, as a bag folder, holds; `None` for a file of another format.
-fn mcap_file(path: &Path) -> Result<Option<PathBuf>, Failure> {
-    let fail = |e: std::io::Error| match e.kind() {
-        std::io::ErrorKind::NotFound => {
-            Failure::usage(format!("{}: found no such file; expected it to exist", path.display()))
-        }
-        _ => Failure::usage(format!("{}: cannot be read: {e}", path.display())),
-    };
-    if path.is_dir() {
-        let entries = std::fs::read_dir(path).map_err(fail)?.flatten().map(|e| e.path());
-        let mut files: Vec<PathBuf> =
-            entries.filter(|p| p.extension().is_some_and(|e| e.eq_ignore_ascii_case("mcap"))).collect();
-        return match files.len() {
-            1 => Ok(files.pop()),
-            n => Err(Failure::usage(format!(
-                "{}: found a folder with {n} .mcap files; expected a file, or a folder with one",
-                path.display()
-            ))),
-        };
-    }
-    let mut first = Vec::new();
-    std::fs::File::open(path).and_then(|f| f.take(SNIFF_BYTES as u64).read_to_end(&mut first)).map_err(fail)?;
-    Ok((detect(path, &first)?.name == "mcap").then(|| path.to_path_buf()))
 }
 
 fn container(info: &FileInfo) -> Container {
@@ -208,7 +181,7 @@ fn contents(path: &Path, topic: Option<String>, robot: &RobotFile, progress: &Pr
         for (span, (q, tau)) in spans.iter_mut().zip(m.q_rad.iter().zip(&m.tau_nm)) {
             span.add(*q, *tau);
         }
-        if stamps_ns.len() % PROGRESS_EVERY == 0 {
+        if stamps_ns.len().is_multiple_of(PROGRESS_EVERY) {
             progress.at(reader.fraction(), "reading");
         }
     }

@@ -4,7 +4,6 @@ use crate::{CommandResult, words};
 use clap::{Args, Command};
 use clap_complete::Shell;
 use clap_mangen::Man;
-use lacuna_stage::Failure;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -31,7 +30,7 @@ pub fn completions(args: &CompletionsArgs, mut command: Command) -> CommandResul
 /// `lacuna man`.
 pub fn man(args: &ManArgs, command: Command) -> CommandResult {
     words::folder_for(&args.folder)?;
-    let fail = |e: std::io::Error| Failure::usage(format!("{}: cannot be written: {e}", args.folder.display()));
+    let fail = |e| words::cannot_write(&args.folder, &e);
     std::fs::create_dir_all(&args.folder).map_err(fail)?;
     let mut command = command.disable_help_subcommand(true);
     command.build();

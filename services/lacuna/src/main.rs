@@ -35,8 +35,8 @@ mod survey;
 mod top;
 mod words;
 
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-use lacuna_stage::Failure;
+use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
+use lacuna_stage::{Failure, usage};
 use std::process::ExitCode;
 
 /// Stands at the end of every command's help and man page.
@@ -113,8 +113,18 @@ fn command() -> clap::Command {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::from_arg_matches(&command().get_matches()).unwrap_or_else(|e| e.exit());
-    let result = match cli.command {
+    match usage::matches(command()).and_then(run) {
+        Ok(code) => code,
+        Err(failure) => {
+            eprintln!("lacuna: {failure}");
+            ExitCode::from(failure.code())
+        }
+    }
+}
+
+fn run(found: ArgMatches) -> CommandResult {
+    let cli = Cli::from_arg_matches(&found).map_err(|e| usage::failure(&e))?;
+    match cli.command {
         Command::Up(args) => graph::up(args),
         Command::Down(args) => runs::down(&args),
         Command::Status(args) => runs::status(&args),
@@ -138,13 +148,6 @@ fn main() -> ExitCode {
         Command::Demo(args) => demo::demo(&args),
         Command::Prove(args) => prove::prove(&args),
         Command::Bench(args) => bench::bench(&args),
-    };
-    match result {
-        Ok(code) => code,
-        Err(failure) => {
-            eprintln!("lacuna: {failure}");
-            ExitCode::from(failure.code())
-        }
     }
 }
 

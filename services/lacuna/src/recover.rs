@@ -49,10 +49,7 @@ pub fn recover(args: &RecoverArgs) -> CommandResult {
     let progress = Progress::spinner();
     progress.step("copying what can be read");
     let options = WriterOptions { overwrite: args.overwrite, ..WriterOptions::default() };
-    let done = lacuna_recording::recover(&args.input, &args.output, &options).map_err(|e| match e {
-        WriteError::Refused(bad) => bad.into(),
-        other => Failure::run(other.to_string()),
-    })?;
+    let done = lacuna_recording::recover(&args.input, &args.output, &options).map_err(failure)?;
     drop(progress);
     let report = Report {
         schema: "lacuna.recovered/1",
@@ -69,6 +66,15 @@ pub fn recover(args: &RecoverArgs) -> CommandResult {
         words::say(&summary(&report))?;
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Why a recording could not be written.
+pub fn failure(e: WriteError) -> Failure {
+    match e {
+        WriteError::Refused(bad) => bad.into(),
+        WriteError::Io { ref source, .. } => Failure::of_file(e.to_string(), source.kind()),
+        WriteError::Lost(_) => Failure::run(e.to_string()),
+    }
 }
 
 fn same_file(a: &Path, b: &Path) -> bool {

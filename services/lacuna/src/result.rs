@@ -108,7 +108,7 @@ impl Job {
     /// # Errors
     /// If the operating system refuses.
     pub fn stage(self, folder: &Path) -> Result<Stage, Failure> {
-        let fail = |e: std::io::Error| Failure::usage(format!("{}: cannot be written: {e}", folder.display()));
+        let fail = |e: std::io::Error| words::cannot_write(folder, &e);
         std::fs::create_dir_all(folder).map_err(fail)?;
         let lock = File::open(folder).map_err(fail)?;
         // Two that write into one folder do so one after the other.
@@ -140,7 +140,7 @@ impl Stage {
     /// If the operating system refuses. The folder then has no manifest.
     pub fn commit(mut self) -> Result<Vec<String>, Failure> {
         let folder = self.folder;
-        let fail = |e: std::io::Error| Failure::usage(format!("{}: cannot be written: {e}", folder.display()));
+        let fail = |e: std::io::Error| words::cannot_write(&folder, &e);
         let mut names: Vec<String> = Vec::new();
         for found in std::fs::read_dir(self.temp.path()).map_err(fail)? {
             names.push(found.map_err(fail)?.file_name().to_string_lossy().into_owned());

@@ -1,11 +1,11 @@
 //! Runs of this user: where they live, what state they are in, how to stop them and read their logs.
 
-use crate::CommandResult;
+use crate::{CommandResult, words};
 use clap::Args;
 use lacuna_stage::{Failure, HopLatency, RunDir};
 use rustix::process::{Pid, Signal, getuid, kill_process, test_kill_process};
 use serde::{Deserialize, Serialize};
-use std::io::Write;
+use std::fmt::Write as _;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -247,7 +247,7 @@ pub fn down(args: &RunArgs) -> CommandResult {
                 std::thread::sleep(Duration::from_millis(20))
             }
             _ => {
-                println!("{}: stopped", status.run);
+                words::line(format_args!("{}: stopped", status.run))?;
                 return Ok(ExitCode::SUCCESS);
             }
         }
@@ -262,12 +262,12 @@ pub fn status(args: &StatusArgs) -> CommandResult {
     } else {
         list(&root()?).into_iter().map(|(_, s)| s).collect()
     };
-    let mut out = std::io::stdout().lock();
     if args.json {
-        let text = serde_json::to_string_pretty(&runs).map_err(|e| Failure::run(e.to_string()))?;
-        let _ = writeln!(out, "{text}");
+        words::print_json(&runs)?;
         return Ok(ExitCode::SUCCESS);
     }
+    let mut out = String::new();
+    // Writing to a String cannot fail.
     if runs.is_empty() {
         let _ = writeln!(out, "no runs");
     }
@@ -294,6 +294,7 @@ pub fn status(args: &StatusArgs) -> CommandResult {
             }
         }
     }
+    words::say(&out)?;
     Ok(ExitCode::SUCCESS)
 }
 
@@ -306,12 +307,9 @@ pub fn logs(args: &LogsArgs) -> CommandResult {
     {
         return Err(Failure::usage(format!("--node {node}: the run has {}", names.join(", "))));
     }
-    let mut out = std::io::stdout().lock();
     for name in names.iter().filter(|n| args.node.as_deref().is_none_or(|wanted| wanted == **n)) {
         let text = std::fs::read_to_string(dir.join(format!("{name}.log"))).unwrap_or_default();
-        for line in text.lines() {
-            let _ = writeln!(out, "{name}: {line}");
-        }
+        words::say(&text.lines().map(|line| format!("{name}: {line}\n")).collect::<String>())?;
     }
     Ok(ExitCode::SUCCESS)
 }

@@ -150,7 +150,8 @@ pub fn simulate(args: &SimulateArgs) -> CommandResult {
     progress.step("writing");
     let mut recordings = Vec::new();
     for part in &parts {
-        let written = part.simulation.write(&below(&args.out, part.folder))?;
+        let written = part.simulation.write(&below(&args.out, part.folder));
+        let written = written.map_err(|e| Failure::of_file(e.to_string(), e.kind()))?;
         recordings.extend(written.into_iter().filter(|p| p.extension().is_some_and(|e| e == "csv")));
     }
     let robot_file = robot_toml.as_ref().map(|_| args.out.join("robot.toml"));

@@ -67,23 +67,34 @@ pub fn folder_for(path: &Path) -> Result<(), BadInput> {
     Ok(())
 }
 
+/// A file or folder that cannot be written.
+pub fn cannot_write(path: &Path, e: &std::io::Error) -> Failure {
+    Failure::of_file(format!("{}: cannot be written: {e}", path.display()), e.kind())
+}
+
 /// Writes a file, with its folder.
 ///
 /// # Errors
 /// If the operating system refuses.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    let fail = |e: std::io::Error| Failure::usage(format!("{}: cannot be written: {e}", path.display()));
+    let fail = |e| cannot_write(path, &e);
     if let Some(folder) = path.parent().filter(|f| !f.as_os_str().is_empty()) {
         std::fs::create_dir_all(folder).map_err(fail)?;
     }
     std::fs::write(path, bytes).map_err(fail)
 }
 
-/// Prints on standard output. A reader that has gone away (`| head`) is not an error.
+/// Prints words on standard output: names out of files may hold terminal controls, which are shown and not obeyed. A
+/// reader that has gone away (`| head`) is not an error.
 ///
 /// # Errors
 /// If the operating system refuses, e.g. because the disk is full.
 pub fn say(text: &str) -> Result<(), Failure> {
+    let obeyed = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+    if text.contains(obeyed) { print(&text.replace(obeyed, "\u{fffd}")) } else { print(text) }
+}
+
+fn print(text: &str) -> Result<(), Failure> {
     let mut out = std::io::stdout().lock();
     match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
         Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => {
@@ -93,13 +104,21 @@ pub fn say(text: &str) -> Result<(), Failure> {
     }
 }
 
+/// Prints a line on standard output, as [`say`].
+///
+/// # Errors
+/// As [`say`].
+pub fn line(text: std::fmt::Arguments<'_>) -> Result<(), Failure> {
+    say(&format!("{text}\n"))
+}
+
 /// Prints a value as JSON on standard output.
 ///
 /// # Errors
 /// If the value cannot be written.
 pub fn print_json(value: &impl Serialize) -> Result<(), Failure> {
     let text = serde_json::to_string_pretty(value).map_err(|e| Failure::run(format!("JSON: {e}")))?;
-    say(&(text + "\n"))
+    print(&(text + "\n"))
 }
 
 /// A positive option value.

@@ -111,7 +111,8 @@ fn false_alarms_keep_to_the_configured_rate() {
 #[test]
 fn a_mismatch_raises_its_own_joint_soon_and_is_told_where() {
     type Extra = fn(f64, usize, f64, f64, f64) -> f64;
-    let cases: [(&str, Extra, f64, Option<(u32, f64, f64)>); 5] = [
+    type Region = Option<(u32, f64, f64)>;
+    let cases: [(&str, Extra, f64, Region); 5] = [
         (
             "friction rises",
             |t, i, _, qd, _| if i == 1 && t > 60.0 { 0.3 * qd.signum() } else { 0.0 },
@@ -263,7 +264,7 @@ fn configurations_without_sense_are_refused_in_words() {
         ("residual = \"all\"", "unknown variant"),
         ("speed = 1", "unknown field"),
     ] {
-        let e = make(config, &[0.1; 3]).err().expect(config).to_string();
+        let e = make(config, &[0.1; 3]).expect_err(config).to_string();
         assert!(e.contains(expected) && !e.contains('\n'), "{config}: {e}");
     }
 }

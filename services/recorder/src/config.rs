@@ -152,9 +152,13 @@ impl Config {
                 .in_file(&self.path)
                 .into());
         }
-        match self.path.parent() {
-            Some(folder) if !folder.as_os_str().is_empty() && folder.exists() && !folder.is_dir() => {
+        match self.path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+            Some(folder) if folder.exists() && !folder.is_dir() => {
                 Err(BadInput::new("found a file; expected a folder").in_file(folder).into())
+            }
+            // A bag's folders are made; a file's are the user's to choose, before the robot moves.
+            Some(folder) if !folder.exists() && !self.bag => {
+                Err(BadInput::new("found no folder for it; expected one that exists").in_file(&self.path).into())
             }
             _ => Ok(()),
         }

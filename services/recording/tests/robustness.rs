@@ -5,7 +5,8 @@ mod common;
 
 use common::{COMPRESSIONS, csv, motion, robot, write_mcap};
 use lacuna_recording::container::WriterOptions;
-use lacuna_recording::{open, read_all, recover};
+use lacuna_recording::messages::Messages;
+use lacuna_recording::{inspect, open, read_all, recover};
 use proptest::prelude::*;
 use std::path::Path;
 
@@ -135,4 +136,90 @@ fn a_name_with_line_ends_is_quoted_on_one_line() {
     std::fs::write(dir.path().join("robot.toml"), robot).unwrap();
     let line = lacuna_recording::load_robot(dir.path().join("robot.toml")).unwrap_err().to_string();
     assert!(line.contains("Dri\\nve \\u{9b}1") && !line.contains(char::is_control), "{line:?}");
+}
+
+fn record(opcode: u8, content: &[u8]) -> Vec<u8> {
+    [&[opcode][..], &(content.len() as u64).to_le_bytes(), content].concat()
+}
+
+fn text(bytes: &[u8]) -> Vec<u8> {
+    [&(bytes.len() as u32).to_le_bytes()[..], bytes].concat()
+}
+
+/// A chunk record, its content compressed with zstd.
+fn chunk(content: &[u8]) -> Vec<u8> {
+    let packed = zstd::bulk::compress(content, 1).unwrap();
+    let sizes = [&[0; 16][..], &(content.len() as u64).to_le_bytes(), &[0; 4]].concat();
+    let data = [(packed.len() as u64).to_le_bytes().to_vec(), packed].concat();
+    record(mcap::records::op::CHUNK, &[sizes, text(b"zstd"), data].concat())
+}
+
+/// Declarations are kept while a file is read, and compressed they cost a hostile file nothing.
+#[test]
+fn a_flood_of_declarations_is_refused_and_repeated_ones_are_not() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    let flood = |ids: std::ops::Range<u16>| {
+        let mut bytes = mcap::MAGIC.to_vec();
+        bytes.extend(record(mcap::records::op::HEADER, &[text(b""), text(b"")].concat()));
+        for id in ids {
+            let schema =
+                [&id.to_le_bytes()[..], &text(b"p/T"), &text(b"ros2msg"), &text(&vec![b' '; 16 << 20])].concat();
+            bytes.extend(chunk(&record(mcap::records::op::SCHEMA, &schema)));
+        }
+        std::fs::write(&path, &bytes).unwrap();
+        bytes.len()
+    };
+    assert!(flood(1..6) < 1 << 20, "16 MiB of blanks are small once compressed");
+    let e = inspect(&path).unwrap_err().to_string();
+    assert!(e.contains("64 MiB of schemas and channels") && e.contains("in the chunk at byte"), "{e}");
+    assert!(Messages::open(&path).unwrap().next_message().is_err());
+    // What a recorder says again in every chunk is one declaration.
+    let mut bytes = std::fs::read(&path).unwrap();
+    flood(1..2);
+    let one = std::fs::read(&path).unwrap();
+    bytes.truncate(one.len());
+    let again = one[one.len() - chunk_len(&one)..].to_vec();
+    (0..5).for_each(|_| bytes.extend(&again));
+    std::fs::write(&path, &bytes).unwrap();
+    assert!(inspect(&path).unwrap().was_cut);
+}
+
+/// Length of the last record of a file that consists of its header and one chunk.
+fn chunk_len(bytes: &[u8]) -> usize {
+    bytes.len() - mcap_chunk(bytes)
+}
+
+/// Chunks hold messages and what these need; a file hidden in one would be memory for nothing.
+#[test]
+fn an_attachment_within_a_chunk_is_none() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    let data = [&1_u64.to_le_bytes()[..], b"x"].concat();
+    let attachment =
+        record(mcap::records::op::ATTACHMENT, &[vec![0; 16], text(b"n"), text(b""), data, vec![0; 4]].concat());
+    let header = record(mcap::records::op::HEADER, &[text(b""), text(b"")].concat());
+    for (inside, found) in [(false, 1), (true, 0)] {
+        let attachment = if inside { chunk(&attachment) } else { attachment.clone() };
+        std::fs::write(&path, [mcap::MAGIC, &header, &attachment].concat()).unwrap();
+        assert_eq!(inspect(&path).unwrap().attachments.len(), found);
+    }
+}
+
+/// Behind bytes that are no record nobody knows where the next one begins: what follows must not be taken for records.
+#[test]
+fn recovery_ends_where_the_records_do() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.mcap");
+    write_mcap(&path, &motion(1000), &WriterOptions { chunk_bytes: 20_000, ..WriterOptions::default() });
+    let bytes = std::fs::read(&path).unwrap();
+    let at = mcap_chunk(&bytes);
+    // A hole of zeros, then bytes that would pass for a message of the first channel.
+    let message = record(mcap::records::op::MESSAGE, &[&[1, 0][..], &[0; 20], b"not a message"].concat());
+    let broken = [&bytes[..at], &[0; 8], &[9], &message].concat();
+    std::fs::write(&path, broken).unwrap();
+    let to = dir.path().join("b.mcap");
+    let recovered = recover(&path, &to, &WriterOptions::default()).unwrap();
+    assert_eq!((recovered.was_cut, recovered.damages.len()), (true, 1));
+    assert_eq!(recovered.finished.messages.values().sum::<u64>(), 0);
 }

@@ -150,11 +150,13 @@ impl Simulation {
     /// it is the caller's to seal ([`crate::Truth::to_json`]).
     ///
     /// # Errors
-    /// [`BadInput`] naming the file that could not be written.
-    pub fn write(&self, folder: &Path) -> Result<Vec<PathBuf>, BadInput> {
+    /// The operating system's, in words that name the file.
+    pub fn write(&self, folder: &Path) -> std::io::Result<Vec<PathBuf>> {
         let failed = |path: &Path| {
             let path = path.to_path_buf();
-            move |e: std::io::Error| BadInput::new(format!("cannot be written: {e}")).in_file(path)
+            move |e: std::io::Error| {
+                std::io::Error::new(e.kind(), format!("{}: cannot be written: {e}", path.display()))
+            }
         };
         std::fs::create_dir_all(folder).map_err(failed(folder))?;
         let mut written = Vec::new();
@@ -167,7 +169,7 @@ impl Simulation {
         }
         let path = folder.join("manifest.json");
         let text = serde_json::to_string_pretty(&self.manifest)
-            .map_err(|e| BadInput::new(format!("manifest cannot be written as JSON: {e}")))?;
+            .map_err(|e| std::io::Error::other(format!("manifest cannot be written as JSON: {e}")))?;
         std::fs::write(&path, text).map_err(failed(&path))?;
         written.push(path);
         Ok(written)

@@ -38,7 +38,7 @@ impl Steady {
     pub fn new() -> Self {
         let began = Instant::now();
         let mut new = Self { began, apart_ns: 0, shift_ns: [0; 2], steps: 0 };
-        new.apart_ns = new.now().map_or_else(|| wall_ns(), |now| now.wall_ns - now.mono_ns);
+        new.apart_ns = new.now().map_or_else(wall_ns, |now| now.wall_ns - now.mono_ns);
         new
     }
 

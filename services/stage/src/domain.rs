@@ -77,6 +77,10 @@ impl RunDir {
 
     /// Removes everything the run's domain left in shared memory. Call it when no process of the run is left.
     pub fn remove_domain(&self) {
+        // A path without a name would stand for all of shared memory.
+        if self.name().is_empty() {
+            return;
+        }
         let _ = std::fs::remove_dir_all(self.shm_root());
         for path in self.shm_files() {
             let _ = std::fs::remove_file(path);

@@ -3,11 +3,12 @@
 //! The sender is a reader of its topic like any other and hands every sample to what carries it. The receiver is a
 //! source: it numbers nothing anew, so that a hole in the numbers is what was lost on the way; it is counted and flagged.
 
+use crate::any::with_messages;
 use crate::bus::shift_hops;
 use crate::bus::{Input, LinkReader, LinkWriter, Output, Received, Wake, end_of_stream, wait_for_type};
 use crate::clock::{monotonic_ns, wall_ahead_ns};
 use crate::control::{Event, Gauge, StageReport};
-use crate::domain::RunDir;
+use crate::domain::{Domain, RunDir};
 use crate::latency::{EdgeMeter, LatencyMeter};
 use crate::process::{Failure, Process, Pulse, main_with};
 use lacuna_interfaces::graph::Mode;
@@ -93,28 +94,30 @@ pub fn run_link<C: Carrier>() -> ExitCode {
     main_with(body::<C>)
 }
 
-/// Runs `$run` for the message whose `$name` is `$found`.
 macro_rules! dispatch {
-    ($found:expr, $name:ident, $run:ident $args:tt) => {
-        dispatch!($found, $name, $run $args, JointMeasured JointSmoothed TorqueModel FrictionTorque PayloadEstimate ResidualWatch)
-    };
-    ($found:expr, $name:ident, $run:ident $args:tt, $($message:ident)*) => {
-        match $found.as_str() {
-            $(found if found == $name::<$message>() => $run::<$message, C> $args,)*
-            other => Err(Failure::usage(format!(
-                "link: found message {other}; expected one of {}",
-                [$($name::<$message>()),*].join(", ")
-            ))),
+    ($($message:ident),*) => {
+        /// Sends the stream of the message whose type name on the bus is `found`.
+        fn send_any<C: Carrier>(found: &str, process: &Process, domain: &Domain, topic: &str, carrier: C) -> Result<StageReport, Failure> {
+            $(if found == $message::type_name() {
+                return send::<$message, C>(process, domain, topic, carrier);
+            })*
+            Err(unknown(found, &[$($message::type_name()),*]))
+        }
+
+        /// Receives the stream of the message of this name.
+        fn receive_any<C: Carrier>(name: &str, process: &Process, domain: &Domain, topic: &str, carrier: C) -> Result<StageReport, Failure> {
+            $(if name == $message::NAME {
+                return receive::<$message, C>(process, domain, topic, carrier);
+            })*
+            Err(unknown(name, &[$($message::NAME.to_owned()),*]))
         }
     };
 }
 
-fn bus_name<W: Wire>() -> String {
-    W::type_name()
-}
+with_messages!(dispatch);
 
-fn plain_name<W: Wire>() -> String {
-    W::NAME.to_owned()
+fn unknown(found: &str, known: &[String]) -> Failure {
+    Failure::usage(format!("link: found message {found}; expected one of {}", known.join(", ")))
 }
 
 fn body<C: Carrier>(process: &Process) -> Result<StageReport, Failure> {
@@ -136,10 +139,10 @@ fn body<C: Carrier>(process: &Process) -> Result<StageReport, Failure> {
             Event::Ready.emit();
             return Ok(StageReport::default());
         };
-        dispatch!(found, bus_name, send(process, &domain, topic, carrier))
+        send_any(&found, process, &domain, topic, carrier)
     } else {
         let found = carrier.message().unwrap_or(JointMeasured::NAME).to_owned();
-        dispatch!(found, plain_name, receive(process, &domain, topic, carrier))
+        receive_any(&found, process, &domain, topic, carrier)
     }
 }
 
@@ -155,7 +158,7 @@ fn settle<C: Carrier>(carrier: &mut C, process: &Process) -> Result<(), Failure>
 
 fn send<W: Wire, C: Carrier>(
     process: &Process,
-    domain: &crate::Domain,
+    domain: &Domain,
     topic: &str,
     mut carrier: C,
 ) -> Result<StageReport, Failure> {
@@ -232,7 +235,7 @@ fn farewell<W: Wire>(link: &mut LinkWriter<W>, last: Option<Header>) -> Result<(
 
 fn receive<W: Wire, C: Carrier>(
     process: &Process,
-    domain: &crate::Domain,
+    domain: &Domain,
     topic: &str,
     mut carrier: C,
 ) -> Result<StageReport, Failure> {

@@ -3,7 +3,7 @@
 use crate::clock::monotonic_ns;
 use crate::control::{Event, Gauge, Order};
 use crate::domain::{Domain, RunDir};
-use clap::Parser;
+use clap::{CommandFactory, FromArgMatches, Parser};
 use lacuna_interfaces::graph::{GraphFile, Mode, Node};
 use lacuna_interfaces::{BadInput, ModelFile};
 use lacuna_recording::LoadedRobot;
@@ -36,6 +36,23 @@ impl Failure {
     /// A failure while running.
     pub fn run(what: impl Into<String>) -> Self {
         Self::Run(what.into())
+    }
+
+    /// The operating system refused a file: bad use where the place is wrong, a failure where the place is right and
+    /// the machine is not (a full disk).
+    pub fn of_file(what: impl Into<String>, kind: std::io::ErrorKind) -> Self {
+        use std::io::ErrorKind as Kind;
+        match kind {
+            Kind::NotFound
+            | Kind::PermissionDenied
+            | Kind::AlreadyExists
+            | Kind::NotADirectory
+            | Kind::IsADirectory
+            | Kind::ReadOnlyFilesystem
+            | Kind::InvalidFilename
+            | Kind::InvalidInput => Self::usage(what),
+            _ => Self::run(what),
+        }
     }
 
     /// Exit code that belongs to it.
@@ -114,7 +131,8 @@ struct Orders {
 
 impl Process {
     fn start() -> Result<Self, Failure> {
-        let args = Args::parse();
+        let found = crate::usage::matches(Args::command())?;
+        let args = Args::from_arg_matches(&found).map_err(|e| crate::usage::failure(&e))?;
         let run = RunDir::open(&args.run);
         let graph = run.graph()?;
         let node = graph

@@ -5,12 +5,14 @@ mod words;
 
 use crate::CommandResult;
 use crate::progress::Progress;
+use crate::words::positive;
 use clap::builder::PossibleValuesParser;
 use clap::{Args, Subcommand};
 use lacuna_benches::conditions::{self, Conditions, Document};
 use lacuna_benches::latency::Variant;
 use lacuna_benches::stress::{KINDS, Stress};
 use lacuna_benches::{faults, latency, memory, soak, stages, stress, throughput};
+use lacuna_interfaces::BadInput;
 use lacuna_stage::Failure;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -119,6 +121,7 @@ enum What {
 
 /// `lacuna bench`.
 pub fn bench(args: &BenchArgs) -> CommandResult {
+    check(&args.what)?;
     let run = Run { json: args.json, conditions: conditions::now(), started: Instant::now() };
     let spinner = Progress::spinner();
     let mut progress = |text: &str| spinner.step(text);
@@ -179,7 +182,21 @@ pub fn bench(args: &BenchArgs) -> CommandResult {
 }
 
 fn fail(e: lacuna_benches::BenchError) -> Failure {
-    Failure::run(format!("bench: {e}"))
+    e.downcast::<BadInput>().map_or_else(|e| Failure::run(format!("bench: {e}")), |bad| (*bad).into())
+}
+
+/// Numbers that no benchmark can be run with, before any of it is.
+fn check(what: &What) -> Result<(), BadInput> {
+    let all = |list: &[(&str, f64)]| list.iter().try_for_each(|(key, value)| positive(key, *value).map(|_| ()));
+    match what {
+        What::Latency { rates, seconds, .. } => {
+            rates.iter().try_for_each(|rate| all(&[("--rates", *rate)]))?;
+            all(&[("--seconds", *seconds)])
+        }
+        What::Faults { rate, round, .. } => all(&[("--rate", *rate), ("--round", *round)]),
+        What::Soak { minutes, rate } => all(&[("--minutes", *minutes), ("--rate", *rate)]),
+        What::Stages | What::Graph { .. } | What::Stress { .. } | What::Report { .. } | What::Memory { .. } => Ok(()),
+    }
 }
 
 /// One run of a benchmark.

@@ -15,7 +15,7 @@ use std::process::ExitCode;
 
 /// One benchmark's document of whatever kind.
 enum Part {
-    Faults(Document<Faults>),
+    Faults(Box<Document<Faults>>),
     Stress(Document<Vec<stress::Row>>),
     Latency(Document<Vec<latency::Row>>),
     Graph(Document<Vec<throughput::Row>>),
@@ -82,11 +82,10 @@ fn read(path: &Path) -> Result<Part, Failure> {
     struct Kind {
         bench: String,
     }
-    let text =
-        std::fs::read_to_string(path).map_err(|e| Failure::usage(format!("{}: cannot read: {e}", path.display())))?;
+    let text = lacuna_recording::files::read_text(path)?;
     let kind: Kind = parse(path, &text)?;
     Ok(match kind.bench.as_str() {
-        "faults" => Part::Faults(parse(path, &text)?),
+        "faults" => Part::Faults(Box::new(parse(path, &text)?)),
         "stress" => Part::Stress(parse(path, &text)?),
         "latency" => Part::Latency(parse(path, &text)?),
         "graph" => Part::Graph(parse(path, &text)?),

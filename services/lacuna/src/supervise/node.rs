@@ -172,7 +172,7 @@ impl NodeState {
             Restart::Never => false,
             // Where a source ended by itself the stream ended.
             Restart::Always if fine => !source && !stopping,
-            Restart::Always | Restart::OnFailure => !fine && !(stopping && source),
+            Restart::Always | Restart::OnFailure => !(fine || stopping && source),
         }
     }
 

@@ -78,7 +78,7 @@ fn name(k: usize) -> String {
 
 fn write(place: &Workplace, vault: &mut Vault, name: &str, drawn: &Drawn) -> Result<(), Error> {
     let folder = place.folder(&format!("cases/{name}"))?;
-    drawn.simulation.write(&folder)?;
+    drawn.simulation.write(&folder).map_err(|e| Error::Run(e.to_string()))?;
     place.write(&format!("cases/{name}/robot.toml"), &robot_toml(&drawn.robot)?)?;
     vault.seal(name, &drawn.simulation.truth.to_json()?)?;
     Ok(())
@@ -104,7 +104,7 @@ fn timed(options: &Options, place: &Workplace) -> Result<Figure, Error> {
     let plan = Plan::timing();
     let drawn = draw::case(&plan, options.seed, draw::TIMING_CASE)?;
     let folder = place.folder("timing/recordings")?;
-    drawn.simulation.write(&folder)?;
+    drawn.simulation.write(&folder).map_err(|e| Error::Run(e.to_string()))?;
     place.write("timing/recordings/robot.toml", &robot_toml(&drawn.robot)?)?;
     let out = place.folder("timing/findings")?;
     let answered = options.diagnosis.run(&folder, "robot.toml", &recordings(&folder)?, &out)?;

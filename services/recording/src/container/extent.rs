@@ -30,7 +30,7 @@ pub fn extent(path: impl AsRef<Path>) -> Result<Extent, BadInput> {
     let mut found = Extent::default();
     let mut topics = BTreeMap::new();
     let first_chunk = look(&mut scan, &mut found, &mut topics, true);
-    if first_chunk && scan.to_last_chunks(LAST_CHUNKS).map_err(|e| e.in_file(path))? {
+    if first_chunk && scan.seek_last_chunks(LAST_CHUNKS).map_err(|e| e.in_file(path))? {
         look(&mut scan, &mut found, &mut topics, false);
     }
     Ok(found)

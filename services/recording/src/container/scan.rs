@@ -14,6 +14,9 @@ use std::path::Path;
 
 /// Largest record outside chunks that is loaded [bytes].
 const MAX_RECORD: u64 = MAX_CHUNK;
+/// Most that a file's schemas and channels may hold together [bytes]: readers keep them, and compressed they cost a hostile
+/// file nothing.
+const MAX_DECLARED: usize = 64 << 20;
 
 /// One record of the data section. The slices are the records' contents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,7 +29,7 @@ pub(crate) enum Item<'a> {
     Metadata(&'a [u8]),
 }
 
-/// Position in the file and buffers; memory is bounded by the largest chunk.
+/// Position in the file and buffers; memory is bounded by the largest chunk, and what is declared by [`MAX_DECLARED`].
 pub(crate) struct Scan {
     file: BufReader<File>,
     len: u64,
@@ -39,6 +42,7 @@ pub(crate) struct Scan {
     chunk_at: Option<usize>,
     chunk_offset: u64,
     chunk_cut: bool,
+    declared: Declared,
     has_end: bool,
     ended: bool,
     cut: bool,
@@ -84,6 +88,7 @@ impl Scan {
             chunk_at: None,
             chunk_offset: 0,
             chunk_cut: false,
+            declared: Declared::default(),
             has_end: tail == *mcap::MAGIC,
             ended: false,
             cut: false,
@@ -102,7 +107,7 @@ impl Scan {
 
     /// Goes on at the `count`th chunk before the end, passing over the others by their lengths; `false` if there is no
     /// chunk beyond the present one.
-    pub(crate) fn to_last_chunks(&mut self, count: usize) -> Result<bool, BadInput> {
+    pub(crate) fn seek_last_chunks(&mut self, count: usize) -> Result<bool, BadInput> {
         self.chunk_at = None;
         let mut starts = VecDeque::new();
         while !self.ended {
@@ -136,17 +141,27 @@ impl Scan {
             let (opcode, content) = match step {
                 // Polonius would let one match do; today the check for items of no interest comes first.
                 Step::Top(opcode) if !interesting(opcode) => continue,
-                Step::InChunk(opcode, _) if !interesting(opcode) => continue,
+                Step::InChunk(opcode, _) if !belongs_in_chunk(opcode) => continue,
                 Step::Top(opcode) => (opcode, self.record.as_slice()),
                 Step::InChunk(opcode, range) => (opcode, self.chunk.get(range).unwrap_or(&[])),
             };
             let place = (self.chunk_at.map(|_| self.chunk_offset), self.at);
+            let place = || match place {
+                (Some(chunk), _) => format!("in the chunk at byte {chunk}"),
+                (None, at) => format!("before byte {at}"),
+            };
+            if !self.declared.add(opcode, content) {
+                return Err(BadInput::new(format!(
+                    "{}: found more than {} MiB of schemas and channels; expected a recording",
+                    place(),
+                    MAX_DECLARED >> 20
+                )));
+            }
             return item(opcode, content).map(Some).ok_or_else(|| {
-                let place = match place {
-                    (Some(chunk), _) => format!("in the chunk at byte {chunk}"),
-                    (None, at) => format!("before byte {at}"),
-                };
-                BadInput::new(format!("{place}: found a record of type {opcode} that is too short for its fields"))
+                BadInput::new(format!(
+                    "{}: found a record of type {opcode} that is too short for its fields; expected all of them",
+                    place()
+                ))
             });
         }
     }
@@ -203,8 +218,9 @@ impl Scan {
             let mut rest = Vec::new();
             let read = (&mut self.file).take(1 << 20).read_to_end(&mut rest);
             read.map_err(|e| self.unreadable(&e))?;
+            // Where the next record begins nobody can tell.
+            self.stop_cut();
             if len == 0 && rest.iter().all(|&b| b == 0) {
-                self.stop_cut();
                 return Ok(None);
             }
             return Err(BadInput::new(format!("at byte {offset}: found record type 0; expected an MCAP record")));
@@ -219,9 +235,10 @@ impl Scan {
     /// Loads a record's content into `record`; `false` if the file ends before it does.
     fn load(&mut self, len: u64) -> Result<bool, BadInput> {
         if len > MAX_RECORD && len <= self.len.saturating_sub(self.at) {
+            let at = self.at;
+            self.skip(len)?;
             return Err(BadInput::new(format!(
-                "at byte {}: found a record of {len} bytes; expected at most {MAX_RECORD}",
-                self.at
+                "at byte {at}: found a record of {len} bytes; expected at most {MAX_RECORD}"
             )));
         }
         self.record.clear();
@@ -290,6 +307,31 @@ impl Scan {
 
 fn interesting(opcode: u8) -> bool {
     matches!(opcode, op::HEADER | op::SCHEMA | op::CHANNEL | op::MESSAGE | op::ATTACHMENT | op::METADATA)
+}
+
+/// Messages and what they need to be understood; a chunk holds nothing else.
+fn belongs_in_chunk(opcode: u8) -> bool {
+    matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE)
+}
+
+/// How much a file has declared so far; what it says again counts once.
+#[derive(Debug, Default)]
+struct Declared {
+    sizes: BTreeMap<(u8, u16), usize>,
+    total: usize,
+}
+
+impl Declared {
+    /// Takes note of a schema or channel record; `false` if it is too much.
+    fn add(&mut self, opcode: u8, content: &[u8]) -> bool {
+        if !matches!(opcode, op::SCHEMA | op::CHANNEL) {
+            return true;
+        }
+        let Some(id) = Fields::new(content).u16() else { return true };
+        let before = self.sizes.insert((opcode, id), content.len()).unwrap_or(0);
+        self.total = (self.total - before).saturating_add(content.len());
+        self.total <= MAX_DECLARED
+    }
 }
 
 fn item(opcode: u8, content: &[u8]) -> Option<Item<'_>> {

@@ -135,7 +135,7 @@ impl Configuration {
 
     /// The address of `bits` bits at a place of the input image.
     fn address(&self, what: &str, bits: u32, bit: u32) -> Result<Place, BadInput> {
-        if bit % 8 != 0 {
+        if !bit.is_multiple_of(8) {
             return Err(BadInput::new(format!("{what}: found it at bit {bit}; expected a whole byte")));
         }
         let byte = bit / 8;

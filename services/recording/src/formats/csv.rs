@@ -25,6 +25,7 @@ use crate::files::open_error;
 use crate::sample::{About, RawReader, Sample};
 use lacuna_interfaces::columns::TimeUnit;
 use lacuna_interfaces::{BadInput, Joints, MAX_JOINTS, Repair, RepairKind, RobotFile, flag};
+use std::collections::HashSet;
 use std::fs::File;
 use std::io::Read;
 
@@ -126,8 +127,10 @@ impl Columns {
         while names.last().is_some_and(String::is_empty) {
             names.pop();
         }
-        if let Some(i) = (0..names.len()).find(|&i| names[..i].contains(&names[i])) {
-            return Err(BadInput::new(format!("found column \"{}\" twice; expected distinct columns", names[i])));
+        let mut seen = HashSet::new();
+        if let Some(twice) = names.iter().find(|name| !seen.insert(name.as_str())) {
+            let twice: String = twice.chars().take(40).collect();
+            return Err(BadInput::new(format!("found column \"{twice}\" twice; expected distinct columns")));
         }
         let mut found = Self { names, ..Self::default() };
         found.signals(robot)?;

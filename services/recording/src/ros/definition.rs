@@ -12,6 +12,8 @@ use std::ops::Range;
 const MAX_DEPTH: usize = 16;
 /// Most leaves of one message.
 const MAX_LEAVES: usize = 4096;
+/// Most fields of message types, which may be nested without ever coming to a leaf.
+const MAX_NESTED: usize = 4096;
 /// Most definitions in one text.
 const MAX_TYPES: usize = 512;
 /// Most values of one message: joint signals, not pictures.
@@ -134,7 +136,7 @@ impl Layout {
     pub fn parse(definition: &str) -> Option<Self> {
         let types = Types::split(definition)?;
         let mut leaves = Vec::new();
-        types.flatten(types.root, "", "", &mut leaves, 0)?;
+        types.flatten(Part { text: types.root, package: "", prefix: "", depth: 0 }, &mut leaves, &mut 0)?;
         let is = |at: usize, path: &str| leaves.get(at).is_some_and(|l: &Leaf| l.path == path);
         let stamped = is(0, "header.stamp.sec") && is(1, "header.stamp.nanosec");
         Some(Self { leaves, stamped })
@@ -179,6 +181,14 @@ impl Layout {
         }
         Some(())
     }
+}
+
+/// A definition on its place in the message.
+struct Part<'a> {
+    text: &'a str,
+    package: &'a str,
+    prefix: &'a str,
+    depth: usize,
 }
 
 /// The definitions of one text by their name, `package/Type`.
@@ -236,8 +246,9 @@ impl<'a> Types<'a> {
         Some((full, text))
     }
 
-    fn flatten(&self, text: &str, package: &str, prefix: &str, out: &mut Vec<Leaf>, depth: usize) -> Option<()> {
-        if depth > MAX_DEPTH {
+    fn flatten(&self, part: Part<'_>, out: &mut Vec<Leaf>, nested: &mut usize) -> Option<()> {
+        let Part { text, package, prefix, depth } = part;
+        if depth > MAX_DEPTH || *nested > MAX_NESTED {
             return None;
         }
         for line in text.lines() {
@@ -266,7 +277,8 @@ impl<'a> Types<'a> {
             } else if arity == Arity::One {
                 let (full, text) = self.resolve(kind, package)?;
                 let package = full.split_once('/').map_or("", |(p, _)| p);
-                self.flatten(text, package, &path, out, depth + 1)?;
+                *nested += 1;
+                self.flatten(Part { text, package, prefix: &path, depth: depth + 1 }, out, nested)?;
             } else {
                 return None;
             }
@@ -369,6 +381,13 @@ mod tests {
         }
         let endless = "pkg/A a\n===\nMSG: pkg/A\npkg/A a\n";
         assert!(Layout::parse(endless).is_none());
+        // Ten of each type in the next, and nothing in the last: 10^15 fields without a leaf.
+        let mut hollow = "p/T0 a\n".to_owned();
+        for k in 0..15 {
+            hollow += &format!("===\nMSG: p/T{k}\n");
+            (0..10).for_each(|f| hollow += &format!("p/T{} f{f}\n", k + 1));
+        }
+        assert!(Layout::parse(&(hollow + "===\nMSG: p/T15\n")).is_none());
     }
 
     #[test]

@@ -131,13 +131,16 @@ impl<W: Wire> LinkWriter<W> {
     }
 }
 
+/// A message of the tunnel: a few samples.
+type Batch<W> = Sample<ipc::Service, [Envelope<W>], ()>;
+
 /// The end that the stream comes out of.
 pub struct LinkReader<W: Wire> {
     topic: String,
     port: Subscriber<ipc::Service, [Envelope<W>], ()>,
     _factory: Batches<W>,
     /// The message being handed out, and how far.
-    batch: Option<(Sample<ipc::Service, [Envelope<W>], ()>, usize)>,
+    batch: Option<(Batch<W>, usize)>,
 }
 
 impl<W: Wire> LinkReader<W> {

@@ -311,6 +311,13 @@ fn a_full_disk_is_one_line_and_what_was_written_reads() {
         &["messages", "--python", "--out", "disk/m.py"],
     ]
     .map(|args| (args, bench.lacuna(args)));
+    // What is printed may go there, too.
+    let full = std::fs::File::create(disk.join("printed")).expect("a name needs no room");
+    let printed = [&["messages", "--python"][..], &["status", "--json"]].map(|args| {
+        let mut lacuna = Command::new(bin("lacuna"));
+        lacuna.args(args).stdout(full.try_clone().expect("handle")).output().expect("lacuna starts")
+    });
+    drop(full);
     let unmounted = Command::new("umount").arg(&disk).status().is_ok_and(|s| s.success());
     let line = error_line(&done);
     assert_eq!(done.status.code(), Some(1), "{line}");
@@ -321,6 +328,11 @@ fn a_full_disk_is_one_line_and_what_was_written_reads() {
         let line = error_line(&out);
         assert_eq!((out.status.code(), out.stdout.len()), (Some(1), 0), "{args:?}: {line}");
         assert!(line.contains("disk/") && line.contains("No space left"), "{args:?}: {line}");
+    }
+    for out in printed {
+        let line = error_line(&out);
+        assert_eq!(out.status.code(), Some(1), "{line}");
+        assert!(line.contains("standard output: cannot be written"), "{line}");
     }
     let bytes = std::fs::read(bench.path().join("whole.mcap")).expect("file");
     let messages = mcap::MessageStream::new(&bytes).expect("MCAP").collect::<Result<Vec<_>, _>>().expect("messages");

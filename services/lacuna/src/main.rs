@@ -35,7 +35,7 @@ mod survey;
 mod top;
 mod words;
 
-use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use lacuna_stage::{Failure, usage};
 use std::process::ExitCode;
 
@@ -113,18 +113,22 @@ fn command() -> clap::Command {
 }
 
 fn main() -> ExitCode {
-    match usage::matches(command()).and_then(run) {
-        Ok(code) => code,
+    let cli: Cli = match usage::parse(command()) {
+        Ok(cli) => cli,
         Err(failure) => {
-            eprintln!("lacuna: {failure}");
-            ExitCode::from(failure.code())
+            // It begins with the command itself.
+            eprintln!("{failure}");
+            return ExitCode::from(failure.code());
         }
-    }
+    };
+    run(cli.command).unwrap_or_else(|failure| {
+        eprintln!("lacuna: {failure}");
+        ExitCode::from(failure.code())
+    })
 }
 
-fn run(found: ArgMatches) -> CommandResult {
-    let cli = Cli::from_arg_matches(&found).map_err(|e| usage::failure(&e))?;
-    match cli.command {
+fn run(chosen: Command) -> CommandResult {
+    match chosen {
         Command::Up(args) => graph::up(args),
         Command::Down(args) => runs::down(&args),
         Command::Status(args) => runs::status(&args),

@@ -3,7 +3,7 @@
 use crate::clock::monotonic_ns;
 use crate::control::{Event, Gauge, Order};
 use crate::domain::{Domain, RunDir};
-use clap::{CommandFactory, FromArgMatches, Parser};
+use clap::{CommandFactory, Parser};
 use lacuna_interfaces::graph::{GraphFile, Mode, Node};
 use lacuna_interfaces::{BadInput, ModelFile};
 use lacuna_recording::LoadedRobot;
@@ -131,8 +131,7 @@ struct Orders {
 
 impl Process {
     fn start() -> Result<Self, Failure> {
-        let found = crate::usage::matches(Args::command())?;
-        let args = Args::from_arg_matches(&found).map_err(|e| crate::usage::failure(&e))?;
+        let args: Args = crate::usage::parse(Args::command())?;
         let run = RunDir::open(&args.run);
         let graph = run.graph()?;
         let node = graph

@@ -1,39 +1,46 @@
 //! Command lines, and what is said of one that cannot be used: a line, like every other error.
 
 use crate::process::Failure;
-use clap::error::{ContextKind, ErrorKind};
-use clap::{ArgMatches, Command};
+use clap::error::ErrorKind;
+use clap::{Command, Error, FromArgMatches};
 use lacuna_interfaces::BadInput;
+use std::ffi::OsString;
+use std::path::Path;
 
 /// What the user asked `command` for. Help and version are printed, and the process ends.
 ///
 /// # Errors
 /// [`Failure::Usage`] in one line: the command, what was found, what would be right, where the help is.
-pub fn matches(command: Command) -> Result<ArgMatches, Failure> {
-    command.try_get_matches().map_err(|e| match e.kind() {
+pub fn parse<T: FromArgMatches>(command: Command) -> Result<T, Failure> {
+    let words: Vec<OsString> = std::env::args_os().collect();
+    parse_from(command, &words).map_err(|(e, command)| match e.kind() {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
             e.exit()
         }
-        _ => failure(&e),
+        _ => failure(&e, &named(&command, &words)),
     })
 }
 
-/// An error of the command line in one line.
-pub fn failure(error: &clap::Error) -> Failure {
-    let usage = error.get(ContextKind::Usage).map(ToString::to_string).unwrap_or_default();
-    let what = folded(&error.render().to_string());
-    BadInput::new(match command(&usage) {
-        Some(command) => format!("{command}: {what}; see '{command} --help'"),
-        None => what,
-    })
-    .into()
+fn parse_from<T: FromArgMatches>(mut command: Command, words: &[OsString]) -> Result<T, (Error, Command)> {
+    let found = command.try_get_matches_from_mut(words);
+    found.and_then(|found| T::from_arg_matches(&found)).map_err(|e| (e, command))
 }
 
-/// `lacuna bench graph` of `Usage: lacuna bench graph [OPTIONS]`.
-fn command(usage: &str) -> Option<String> {
-    let words = usage.strip_prefix("Usage:")?.split_whitespace();
-    let names: Vec<&str> = words.take_while(|w| !w.starts_with(['[', '<', '-', '{'])).collect();
-    (!names.is_empty()).then(|| names.join(" "))
+/// `lacuna bench graph`, as far as the words name a command.
+fn named(command: &Command, words: &[OsString]) -> String {
+    let own = words.first().and_then(|w| Path::new(w).file_name()).map(|n| n.to_string_lossy().into_owned());
+    let mut names = vec![own.unwrap_or_else(|| command.get_name().to_owned())];
+    let mut at = command;
+    for word in words.iter().skip(1).filter(|w| !w.to_string_lossy().starts_with('-')) {
+        let Some(sub) = at.find_subcommand(word) else { break };
+        names.push(sub.get_name().to_owned());
+        at = sub;
+    }
+    names.join(" ")
+}
+
+fn failure(error: &Error, command: &str) -> Failure {
+    BadInput::new(format!("{command}: {}; see '{command} --help'", folded(&error.render().to_string()))).into()
 }
 
 /// The message and its tips, without the usage below them.
@@ -54,7 +61,7 @@ fn folded(rendered: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::{Arg, value_parser};
+    use clap::{Arg, ArgMatches, value_parser};
 
     fn tool() -> Command {
         let speed = Arg::new("speed").long("speed").required(true).value_parser(value_parser!(f64));
@@ -64,43 +71,40 @@ mod tests {
     }
 
     fn said(words: &[&str]) -> String {
-        let found = tool().try_get_matches_from(words).unwrap_err();
-        failure(&found).to_string()
+        let words: Vec<OsString> = ["/usr/bin/tool"].iter().chain(words).map(OsString::from).collect();
+        let (error, command) = parse_from::<ArgMatches>(tool(), &words).unwrap_err();
+        failure(&error, &named(&command, &words)).to_string()
     }
 
     #[test]
     fn every_mistake_is_one_line_that_names_the_command_and_what_is_right() {
-        let see = "; see 'tool run --help'";
         for (words, line) in [
             (
-                &["tool", "run", "--sped", "3"][..],
-                "tool run: unexpected argument '--sped' found; a similar argument exists: '--speed'",
+                &["run", "--sped", "3"][..],
+                "tool run: unexpected argument '--sped' found; a similar argument exists: '--speed'; see 'tool run --help'",
             ),
             (
-                &["tool", "run"],
-                "tool run: the following required arguments were not provided: --speed <speed>, --out <FILE>",
+                &["run"],
+                "tool run: the following required arguments were not provided: --speed <speed>, --out <FILE>; see 'tool run --help'",
             ),
             (
-                &["tool", "run", "--speed", "fast", "--out", "x"],
-                "tool run: invalid value 'fast' for '--speed <speed>': invalid float literal",
+                &["run", "--speed", "fast", "--out", "x"],
+                "tool run: invalid value 'fast' for '--speed <speed>': invalid float literal; see 'tool run --help'",
             ),
             (
-                &["tool", "run", "--speed", "1", "--out", "x", "--kind", "quik"],
-                "tool run: invalid value 'quik' for '--kind <kind>' [possible values: slow, quick]; a similar value exists: 'quick'",
+                &["run", "--speed", "1", "--out", "x", "--kind", "quik"],
+                "tool run: invalid value 'quik' for '--kind <kind>' [possible values: slow, quick]; a similar value exists: \
+                 'quick'; see 'tool run --help'",
             ),
-            (&["tool", "rum"], "tool: unrecognized subcommand 'rum'; a similar subcommand exists: 'run'"),
+            (&["runn"], "tool: unrecognized subcommand 'runn'; a similar subcommand exists: 'run'; see 'tool --help'"),
         ] {
-            let said = said(words);
-            assert!(said.starts_with(line) && said.contains("; see 'tool"), "{said}");
-            if words.get(1) == Some(&"run") {
-                assert!(said.ends_with(see), "{said}");
-            }
+            assert_eq!(said(words), line);
         }
     }
 
     #[test]
     fn what_is_quoted_is_shown_and_not_obeyed() {
-        let said = said(&["tool", "run", "--speed", "1\n\u{1b}[2J", "--out", "x"]);
+        let said = said(&["run", "--speed", "1\n\u{1b}[2J", "--out", "x"]);
         assert!(!said.contains(char::is_control) && said.contains("see 'tool run --help'"), "{said}");
     }
 }

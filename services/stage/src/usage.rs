@@ -11,9 +11,9 @@ use std::path::Path;
 ///
 /// # Errors
 /// [`Failure::Usage`] in one line: the command, what was found, what would be right, where the help is.
-pub fn parse<T: FromArgMatches>(command: Command) -> Result<T, Failure> {
+pub fn parse<T: FromArgMatches>(mut command: Command) -> Result<T, Failure> {
     let words: Vec<OsString> = std::env::args_os().collect();
-    parse_from(command, &words).map_err(|(e, command)| match e.kind() {
+    parse_from(&mut command, &words).map_err(|e| match e.kind() {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
             e.exit()
         }
@@ -21,9 +21,9 @@ pub fn parse<T: FromArgMatches>(command: Command) -> Result<T, Failure> {
     })
 }
 
-fn parse_from<T: FromArgMatches>(mut command: Command, words: &[OsString]) -> Result<T, (Error, Command)> {
-    let found = command.try_get_matches_from_mut(words);
-    found.and_then(|found| T::from_arg_matches(&found)).map_err(|e| (e, command))
+fn parse_from<T: FromArgMatches>(command: &mut Command, words: &[OsString]) -> Result<T, Error> {
+    let found = command.try_get_matches_from_mut(words)?;
+    T::from_arg_matches(&found)
 }
 
 /// `lacuna bench graph`, as far as the words name a command.
@@ -61,7 +61,7 @@ fn folded(rendered: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::{Arg, ArgMatches, value_parser};
+    use clap::{Arg, value_parser};
 
     fn tool() -> Command {
         let speed = Arg::new("speed").long("speed").required(true).value_parser(value_parser!(f64));
@@ -72,7 +72,8 @@ mod tests {
 
     fn said(words: &[&str]) -> String {
         let words: Vec<OsString> = ["/usr/bin/tool"].iter().chain(words).map(OsString::from).collect();
-        let (error, command) = parse_from::<ArgMatches>(tool(), &words).unwrap_err();
+        let mut command = tool();
+        let error = parse_from::<()>(&mut command, &words).unwrap_err();
         failure(&error, &named(&command, &words)).to_string()
     }
 

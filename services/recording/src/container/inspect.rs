@@ -1,7 +1,8 @@
 //! What is in an MCAP file, without knowing its messages.
 
+use super::directory::channels_of;
 use super::format::{AttachmentFields, ChannelRecord, Fields, SchemaRecord, metadata_of};
-use super::scan::{Item, Scan, channels_of};
+use super::scan::{Item, Scan};
 use lacuna_interfaces::BadInput;
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -9,6 +9,7 @@
 
 mod back;
 mod chunk;
+mod directory;
 mod extent;
 mod format;
 mod inspect;
@@ -18,9 +19,10 @@ mod summary;
 mod writer;
 
 pub use chunk::Compression;
+pub(crate) use directory::channels_of;
 pub use extent::{Extent, extent};
 pub(crate) use format::{ChannelRecord, SchemaRecord, metadata_of};
 pub use inspect::{FileInfo, TopicInfo, inspect, leading_attachments, topics};
 pub use recover::{Recovered, recover};
-pub(crate) use scan::{Item, Scan, channels_of};
+pub(crate) use scan::{Item, Scan};
 pub use writer::{Attachment, Channel, ChannelId, Finished, MessageBatch, WhenFull, WriteError, Writer, WriterOptions};

@@ -117,6 +117,27 @@ fn live_overload_drops_what_it_counts() {
 }
 
 #[test]
+fn what_a_recorder_cannot_write_in_time_is_lost_and_said() {
+    let bench = Bench::new();
+    csv(&bench, 40_000, 1000.0);
+    // Compression as slow as it can be, and room for one chunk beside the one under way.
+    let graph = "name = \"slow\"\nmode = \"live\"\nrobot = \"robot.toml\"\nbuffer = 16384\n[[node]]\nname = \"source\"\n\
+        exec = \"lacuna-source\"\noutput = \"measured\"\nconfig = { recording = \"run.csv\", rate = 20.0 }\n[[node]]\n\
+        name = \"recorder\"\nexec = \"lacuna-recorder\"\ninputs = [\"measured\"]\n\
+        config = { path = \"run.mcap\", level = 22, chunk_kib = 1024, queue_chunks = 1 }\n";
+    bench.write("g.toml", graph);
+    let out = bench.up("g.toml", &[]).output();
+    assert_eq!(out.status.code(), Some(3), "{}", String::from_utf8_lossy(&out.stderr));
+    let report = report(&out);
+    let recorder = &report["nodes"]["recorder"];
+    let count = |value: &Value| value.as_u64().expect("count");
+    let (dropped, lost) = (count(&recorder["dropped"]), count(&report["lost"]));
+    assert!(dropped > 0 && dropped <= lost && lost <= count(&report["samples"]), "{report}");
+    let kept = lacuna_tests::messages(&bench.path().join("run.mcap"))["/measured"].len() as u64;
+    assert!(kept >= count(&recorder["received"]["measured"]) - dropped, "{kept}: {report}");
+}
+
+#[test]
 fn a_stopped_reader_holds_a_replay_back_and_nothing_is_lost() {
     let chain = Chain { samples: 200_000, buffer: 8, ..Chain::default() };
     let bench = Bench::new();

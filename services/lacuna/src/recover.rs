@@ -3,6 +3,7 @@
 use crate::progress::Progress;
 use crate::{CommandResult, words};
 use clap::Args;
+use lacuna_interfaces::BadInput;
 use lacuna_recording::container::{WriteError, WriterOptions};
 use lacuna_stage::Failure;
 use serde::Serialize;
@@ -45,6 +46,10 @@ pub fn recover(args: &RecoverArgs) -> CommandResult {
             "{}: found the same file twice; expected a new file",
             args.output.display()
         )));
+    }
+    if args.output.exists() && !args.overwrite {
+        let what = "found an existing file; expected none, or --overwrite";
+        return Err(BadInput::new(what).in_file(&args.output).into());
     }
     let progress = Progress::spinner();
     progress.step("copying what can be read");

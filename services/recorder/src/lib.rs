@@ -178,6 +178,11 @@ impl Recorder {
         self.lanes.iter().all(begun)
     }
 
+    /// Samples so far that are not in the file, or not whole, because the disk was too slow; of the stream that lost most.
+    pub fn unwritten(&self) -> u64 {
+        self.lanes.iter().map(|lane| lane.sequences.unwritten()).max().unwrap_or(0)
+    }
+
     /// The highest sequence number so far.
     pub fn last_seq(&self) -> u64 {
         self.lanes.iter().map(|lane| lane.sequences.last()).max().unwrap_or(0)
@@ -269,6 +274,9 @@ impl LaneWriter<'_> {
             self.lane.say(&mut batch, stream, header, hole);
         }
         write(&self.lane.topics, &mut batch);
+        if batch.is_short() {
+            self.lane.sequences.was_short(stream);
+        }
         if batch.end() { Ok(()) } else { Err(self.writer.failure()) }
     }
 }

@@ -162,6 +162,10 @@ impl Sink for Process {
         }
     }
 
+    fn unkept(&self) -> u64 {
+        self.recorder.as_ref().map_or(0, Recorder::unwritten)
+    }
+
     fn resumption(&mut self) -> Resumption {
         if let Err(e) = self.settle() {
             tracing::warn!("{e}");

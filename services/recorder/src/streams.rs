@@ -120,6 +120,8 @@ struct Seen {
     samples: u64,
     missing: u64,
     repeated: u64,
+    /// Samples that are not in the file, or not whole: the disk was too slow.
+    unwritten: u64,
 }
 
 impl Sequences {
@@ -162,6 +164,16 @@ impl Sequences {
     /// True once a sample of `stream` has come.
     pub(crate) fn has(&self, stream: Stream) -> bool {
         self.seen[stream as usize].first.is_some()
+    }
+
+    /// Takes note of a sample that the disk was too slow for.
+    pub(crate) fn was_short(&mut self, stream: Stream) {
+        self.seen[stream as usize].unwritten += 1;
+    }
+
+    /// Samples that the disk was too slow for, of the stream that lost most.
+    pub(crate) fn unwritten(&self) -> u64 {
+        self.seen.iter().map(|s| s.unwritten).max().unwrap_or(0)
     }
 
     /// The highest number of any stream.

@@ -32,9 +32,9 @@ pub struct StageReport {
     pub published: u64,
     /// Number of the last sample (sources, and sinks that were started again; of these 32 bits will do).
     pub last_seq: u64,
-    /// Deliveries that a live reader could not take (counted by the writer).
+    /// Deliveries that a live reader could not take (counted by the writer); of a sink, samples that it could not keep.
     pub dropped: u64,
-    /// Samples missing in the input sequences (counted by the reader).
+    /// Samples missing in the input sequence (counted by the reader); of several inputs, in the one that lacks most.
     pub missing: u64,
     /// Samples that went by between this node's processes (recorders, which see it by their files).
     #[serde(skip_serializing_if = "is_zero")]
@@ -57,9 +57,9 @@ fn is_zero(n: &u64) -> bool {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Gauge {
-    /// Deliveries that a live reader could not take, so far.
+    /// Deliveries that a live reader could not take, so far; of a sink, samples that it could not keep.
     pub dropped: u64,
-    /// Samples missing in the input sequences, so far.
+    /// Samples missing in the input sequence, so far; of several inputs, in the one that lacks most.
     pub missing: u64,
     /// All flags of the samples handled since the last line ([`lacuna_interfaces::flag`]).
     pub flags: u32,

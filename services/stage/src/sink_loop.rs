@@ -127,6 +127,11 @@ pub trait Sink: Sized {
     /// Nothing to read right now: a chance to flush.
     fn idle(&mut self);
 
+    /// Samples that it took and could not keep, so far: a recorder's disk may be too slow.
+    fn unkept(&self) -> u64 {
+        0
+    }
+
     /// What went by between the node's processes of this run; asked once, at the end of one that was started again. For
     /// sinks that leave something behind which tells.
     fn resumption(&mut self) -> Resumption {
@@ -181,6 +186,7 @@ fn body<S: Sink>(process: &Process) -> Result<StageReport, Failure> {
         let Resumption { while_down, last_seq } = sink.resumption();
         (report.while_down, report.last_seq) = (while_down, last_seq);
     }
+    report.dropped = sink.unkept();
     let finished = sink.finish(result.is_ok()).map_err(Failure::run);
     result?;
     report.details = finished?;
@@ -230,7 +236,7 @@ fn pump<S: Sink>(
             if ended || (left && n == 0) {
                 let (topic, received, missing) = input.counts();
                 report.received.insert(topic.to_owned(), received);
-                report.missing += missing;
+                report.missing = report.missing.max(missing);
                 *slot = None;
             }
         }
@@ -246,8 +252,8 @@ fn pump<S: Sink>(
             wake.wait();
         }
         let samples = inputs.iter().flatten().map(|i| i.counts().1).max().unwrap_or(0);
-        let missing = report.missing + inputs.iter().flatten().map(|i| i.counts().2).sum::<u64>();
-        pulse.progress(samples, None, || meter.take(0, missing));
+        let missing = inputs.iter().flatten().map(|i| i.counts().2).fold(report.missing, u64::max);
+        pulse.progress(samples, None, || meter.take(sink.unkept(), missing));
     }
     Ok(())
 }

@@ -22,7 +22,7 @@ pub struct RunReport {
     pub samples: u64,
     /// Seconds from "go" to the end of the last node.
     pub seconds: f64,
-    /// Samples that some node of the graph did not get.
+    /// Samples that some node of the graph did not get, or that the last one could not keep.
     pub lost: u64,
     /// True if the stream was ended by a stop request.
     pub stopped: bool,
@@ -124,8 +124,13 @@ impl Supervisor<'_> {
                 None if self.graph.mode == Mode::Live => StageReport::default(),
                 None => return Err(Failure::run(format!("node \"{}\" ended without a report", node.name))),
             };
-            let down = if node.output.is_none() { report.while_down + after(samples, report.last_seq) } else { 0 };
-            missing = missing.max(report.missing + down + state.carried.missing);
+            let mut not_there = report.missing + state.carried.missing;
+            if node.output.is_none() {
+                // What ends here and was not kept is lost as well.
+                not_there += report.dropped + state.carried.dropped;
+                not_there += report.while_down + after(samples, report.last_seq);
+            }
+            missing = missing.max(not_there);
             nodes.insert(node.name.clone(), report);
         }
         let restarts = self.nodes.iter().map(|n| n.restarts).sum();

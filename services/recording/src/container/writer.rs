@@ -245,7 +245,7 @@ impl Writer {
 
     /// Starts writing messages; those of one sample share one batch.
     pub fn batch(&self) -> MessageBatch<'_> {
-        MessageBatch { front: lock(&self.front), failed: false }
+        MessageBatch { front: lock(&self.front), failed: false, dropped: false }
     }
 
     /// Messages dropped so far because the disk was too slow.
@@ -337,6 +337,7 @@ fn create_file(path: &Path, overwrite: bool) -> Result<File, WriteError> {
 pub struct MessageBatch<'a> {
     front: MutexGuard<'a, Front>,
     failed: bool,
+    dropped: bool,
 }
 
 impl MessageBatch<'_> {
@@ -376,10 +377,16 @@ impl MessageBatch<'_> {
             }
             Err(error) => {
                 self.failed |= error == TryRecvError::Disconnected;
+                self.dropped = true;
                 front.dropped += 1;
                 false
             }
         }
+    }
+
+    /// True if a message of the batch was dropped because the disk was too slow.
+    pub fn is_short(&self) -> bool {
+        self.dropped
     }
 
     /// Ends the batch; `false` if the writing thread is gone ([`Writer::failure`] says why).

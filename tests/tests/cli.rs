@@ -136,7 +136,7 @@ fn a_command_line_that_cannot_be_used_is_one_line() {
     for (args, words) in [
         (&["stauts"][..], &["lacuna: unrecognized subcommand 'stauts'", "'status'", "see 'lacuna --help'"][..]),
         (&["up", "g.toml", "--jsn"], &["lacuna up: unexpected argument '--jsn'", "'--json'", "see 'lacuna up --help'"]),
-        (&["identify"], &["lacuna identify: ", "--robot <FILE>, --out <FOLDER>"]),
+        (&["identify"], &["lacuna identify: ", "--robot <FILE>, --out <DIR>"]),
         (&["bench", "stress", "--only", "hogs"], &["lacuna bench stress: ", "'hogs'", "start-order", "exists: 'hog'"]),
         (&["bench", "latency", "--rates", "0"], &["--rates: found 0"]),
         (&["bench", "graph", "--launch", "nowhere"], &["nowhere/replay.toml", "--launch"]),

@@ -221,7 +221,7 @@ fn layouts_are_made_for_any_joints_and_rerun_finds_its_entities() {
     assert_eq!(same, committed, "launch/layouts is not what make.py makes");
     let (_, other) = make("other", &["--joints", "shoulder,elbow"]);
     assert!(other.iter().flatten().all(|text| text.contains("elbow") && !text.contains("q1")));
-    assert_eq!(make("bad", &["--joints", "a,a"]).0, Some(1));
+    assert_eq!(make("bad", &["--joints", "a,a"]).0, Some(2));
 
     let list = Command::new(&python).arg(layouts.join("rerun_blueprint.py")).arg("--list").output().expect("Python");
     let entities = String::from_utf8_lossy(&list.stdout).into_owned();

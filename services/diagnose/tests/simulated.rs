@@ -123,3 +123,13 @@ fn recordings_without_motion_are_refused_in_one_line() {
     options.recordings.clear();
     assert!(diagnose(&options, &mut |_, _| {}).is_err());
 }
+
+#[test]
+fn a_counterbalance_is_not_also_called_presliding() {
+    // Fitted while the counterbalance is not known yet, the travel over which friction turns round is wrong here.
+    let (options, simulation) = case(&["gravity_spring"], 100);
+    let findings = run(&options).findings;
+    let names: Vec<&str> = findings.findings.iter().map(|f| f.effect.as_str()).collect();
+    assert_eq!(names, ["gravity_spring"], "{}", findings.verdict);
+    assert_eq!(findings.findings[0].joints, simulation.truth.effects[0].joints);
+}

@@ -54,83 +54,27 @@ impl State {
     }
 }
 
-/// The link behind springs at some joints.
-#[derive(Debug)]
-pub(super) struct Compliance {
-    soft: Vec<usize>,
-    mechanics: Mechanics,
-    weightless: Mechanics,
-    pi: Vec<f64>,
+/// Stiffness [Nm/rad], damping ratio and half gap [rad] of every soft joint.
+#[derive(Debug, Clone, Copy)]
+struct Spring {
     k: f64,
     zeta: f64,
     gap: f64,
-    state: Option<State>,
 }
 
-impl Compliance {
-    /// Springs of stiffness `k` [Nm/rad], damping ratio `zeta` and half gap `gap` [rad] at the joints asked for.
-    pub(super) fn new(request: &Request<'_>, k: f64, zeta: f64, gap: f64) -> Self {
-        Self {
-            soft: request.joints.iter().copied().filter(|&j| j < MAX_JOINTS).collect(),
-            mechanics: request.context.mechanics(),
-            weightless: request.context.mechanics_under([0.0; 3]),
-            pi: request.context.pi_link(),
-            k,
-            zeta,
-            gap,
-            state: None,
-        }
-    }
-
-    /// Column `s`: torques of all joints per unit of acceleration of soft joint `s`.
-    fn inertia(&self, q: &Joints) -> Option<Matrix> {
-        let mut m = [[0.0; MAX_JOINTS]; MAX_JOINTS];
-        for (column, &j) in m.iter_mut().zip(&self.soft) {
-            let mut unit = [0.0; MAX_JOINTS];
-            unit[j] = 1.0;
-            *column = self.weightless.torque(q, &[0.0; MAX_JOINTS], &unit, &self.pi)?;
-            if column[j].is_nan() || column[j] <= 0.0 {
-                return None;
-            }
-        }
-        Some(m)
-    }
-
-    /// Link torque where the link is, other link-side loads included.
-    fn force(&self, s: &EffectSample<'_>, state: &State, extra: &Joints) -> Option<Joints> {
-        let (mut q, mut qd) = (*s.q_rad, *s.qd_rad_s);
-        for (i, &j) in self.soft.iter().enumerate() {
-            q[j] -= state.e[i];
-            qd[j] -= state.v[i];
-        }
-        let mut f = self.mechanics.torque(&q, &qd, s.qdd_rad_s2, &self.pi)?;
-        f.iter_mut().zip(extra).for_each(|(f, x)| *f += x);
-        Some(f)
-    }
-
-    /// Deflection under a load that has acted for ever.
-    fn at_rest(&self, load: &Joints) -> State {
-        let mut state = State::default();
-        for (i, &j) in self.soft.iter().enumerate() {
-            let side = if load[j] == 0.0 { 0.0 } else { load[j].signum() };
-            state.e[i] = self.gap * side + load[j] / self.k;
-            state.force[i] = load[j];
-        }
-        state
-    }
-
+impl Spring {
     /// The state `dt` later, the load going straight from `from.force` to `load`.
-    fn advance(&self, from: &State, m: &Matrix, load: &Joints, dt: f64) -> Option<State> {
+    fn advance(&self, soft: &[usize], from: &State, m: &Matrix, load: &Joints, dt: f64) -> Option<State> {
         let steps = (dt / SUBSTEP_S).ceil().clamp(SUBSTEPS, MOST_SUBSTEPS);
         let h = dt / steps;
         let mut state = *from;
         for step in 1..=steps as u32 {
             let share = f64::from(step) / steps;
             let mut force = [0.0; MAX_JOINTS];
-            for (i, &j) in self.soft.iter().enumerate() {
+            for (i, &j) in soft.iter().enumerate() {
                 force[i] = from.force[i] + share * (load[j] - from.force[i]);
             }
-            state = self.substep(&state, m, &force, h)?;
+            state = self.substep(soft, &state, m, &force, h)?;
         }
         Some(state)
     }
@@ -167,8 +111,8 @@ impl Compliance {
     }
 
     /// One Newmark step. Which flanks touch is not known before it: iterated until it fits.
-    fn substep(&self, from: &State, m: &Matrix, force: &Joints, h: f64) -> Option<State> {
-        let n = self.soft.len();
+    fn substep(&self, soft: &[usize], from: &State, m: &Matrix, force: &Joints, h: f64) -> Option<State> {
+        let n = soft.len();
         let (e_p, v_p): (Joints, Joints) = (
             std::array::from_fn(|i| from.e[i] + h * from.v[i] + 0.25 * h * h * from.a[i]),
             std::array::from_fn(|i| from.v[i] + 0.5 * h * from.a[i]),
@@ -178,7 +122,7 @@ impl Compliance {
         for _ in 0..4 {
             let mut a = [[0.0; MAX_JOINTS]; MAX_JOINTS];
             let mut rhs = *force;
-            for (i, &j) in self.soft.iter().enumerate() {
+            for (i, &j) in soft.iter().enumerate() {
                 for c in 0..n {
                     a[i][c] = m[c][j];
                 }
@@ -206,6 +150,68 @@ impl Compliance {
     fn flanks(&self, e: &Joints) -> Joints {
         e.map(|e| if e.abs() > self.gap { e.signum() } else { 0.0 })
     }
+}
+
+/// The link behind springs at some joints.
+#[derive(Debug)]
+pub(super) struct Compliance {
+    soft: Vec<usize>,
+    mechanics: Mechanics,
+    weightless: Mechanics,
+    pi: Vec<f64>,
+    spring: Spring,
+    state: Option<State>,
+}
+
+impl Compliance {
+    /// Springs of stiffness `k` [Nm/rad], damping ratio `zeta` and half gap `gap` [rad] at the joints asked for.
+    pub(super) fn new(request: &Request<'_>, k: f64, zeta: f64, gap: f64) -> Self {
+        Self {
+            soft: request.joints.iter().copied().filter(|&j| j < MAX_JOINTS).collect(),
+            mechanics: request.context.mechanics(),
+            weightless: request.context.mechanics_under([0.0; 3]),
+            pi: request.context.pi_link(),
+            spring: Spring { k, zeta, gap },
+            state: None,
+        }
+    }
+
+    /// Column `s`: torques of all joints per unit of acceleration of soft joint `s`.
+    fn inertia(&self, q: &Joints) -> Option<Matrix> {
+        let mut m = [[0.0; MAX_JOINTS]; MAX_JOINTS];
+        for (column, &j) in m.iter_mut().zip(&self.soft) {
+            let mut unit = [0.0; MAX_JOINTS];
+            unit[j] = 1.0;
+            *column = self.weightless.torque(q, &[0.0; MAX_JOINTS], &unit, &self.pi)?;
+            if column[j].is_nan() || column[j] <= 0.0 {
+                return None;
+            }
+        }
+        Some(m)
+    }
+
+    /// Link torque where the link is, other link-side loads included.
+    fn force(&self, s: &EffectSample<'_>, state: &State, extra: &Joints) -> Option<Joints> {
+        let (mut q, mut qd) = (*s.q_rad, *s.qd_rad_s);
+        for (i, &j) in self.soft.iter().enumerate() {
+            q[j] -= state.e[i];
+            qd[j] -= state.v[i];
+        }
+        let mut f = self.mechanics.torque(&q, &qd, s.qdd_rad_s2, &self.pi)?;
+        f.iter_mut().zip(extra).for_each(|(f, x)| *f += x);
+        Some(f)
+    }
+
+    /// Deflection under a load that has acted for ever.
+    fn at_rest(&self, load: &Joints) -> State {
+        let mut state = State::default();
+        for (i, &j) in self.soft.iter().enumerate() {
+            let side = if load[j] == 0.0 { 0.0 } else { load[j].signum() };
+            state.e[i] = self.spring.gap * side + load[j] / self.spring.k;
+            state.force[i] = load[j];
+        }
+        state
+    }
 
     fn step(&mut self, s: &EffectSample<'_>) -> Option<Joints> {
         let stiff = self.mechanics.torque(s.q_rad, s.qd_rad_s, s.qdd_rad_s2, &self.pi)?;
@@ -226,8 +232,8 @@ impl Compliance {
             (Some(from), soft) => {
                 let load = self.force(s, &from.ahead(s.dt_s), &extra)?;
                 let state = match *soft {
-                    [j] => self.advance_one(from, m[0][j], load[j], s.dt_s)?,
-                    _ => self.advance(from, &m, &load, s.dt_s)?,
+                    [j] => self.spring.advance_one(from, m[0][j], load[j], s.dt_s)?,
+                    _ => self.spring.advance(soft, from, &m, &load, s.dt_s)?,
                 };
                 (load, state)
             }
@@ -273,4 +279,33 @@ fn solve(a: &mut Matrix, mut b: Joints, n: usize) -> Option<Joints> {
     }
     b[n..].fill(0.0);
     Some(b)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// One soft joint is integrated without matrices: the steps are those of several joints that do not feel each other.
+    #[test]
+    fn one_soft_joint_moves_as_among_several() {
+        for gap in [0.0, 4e-4] {
+            let spring = Spring { k: 3000.0, zeta: 0.05, gap };
+            let (mut one, mut two) = (State::default(), State::default());
+            let inertia = [0.31, 0.17];
+            let mut several = [[0.0; MAX_JOINTS]; MAX_JOINTS];
+            (several[0][2], several[1][5]) = (inertia[0], inertia[1]);
+            let mut largest = 0.0f64;
+            for k in 0..2000 {
+                let t = f64::from(k) * 1e-3;
+                let load = 6.0 * (9.0 * t).sin() + 2.0 * (41.0 * t).cos();
+                let mut loads = [0.0; MAX_JOINTS];
+                (loads[2], loads[5]) = (load, -0.4 * load);
+                one = spring.advance_one(&one, inertia[0], load, 1e-3).unwrap();
+                two = spring.advance(&[2, 5], &two, &several, &loads, 1e-3).unwrap();
+                largest = largest.max(one.e[0].abs());
+                assert!((one.e[0] - two.e[0]).abs() < 1e-9 && (one.v[0] - two.v[0]).abs() < 1e-6, "sample {k}");
+            }
+            assert!(largest > 2e-3 + gap, "it moves: {largest} rad");
+        }
+    }
 }

@@ -150,6 +150,11 @@ impl Search<'_> {
             atom = Some((kept, fitted));
         }
         let (atom, fitted) = atom?;
+        // What hangs on a Delta's platform hangs on all of its legs; the rest of a joint's own friction does not.
+        let acting = if atom.fixed { atom.clone() } else { held_at(&atom, vec![mass]) };
+        if self.scene.body.as_delta().is_some() && !self.felt_elsewhere(&fitted, &residual, &acting) {
+            return None;
+        }
         // At the weights of the fitted model: those of the model without are blunted by the payload itself.
         let mut score = self.compare(state, &state.fit, &fitted.fit, vec![mass]);
         score.folds = 1.0;
@@ -453,7 +458,7 @@ impl Search<'_> {
         1.0 - after / f64::max(before, 1e-30)
     }
 
-    /// Whether at least two joints feel the contact (one, if there is but one).
+    /// Whether at least two joints feel a contact or a payload (one, if there is but one).
     fn felt_elsewhere(&self, state: &State, residual: &Column, atom: &Atom) -> bool {
         let rows = self.event_rows(atom);
         let felt = (0..self.scene.joints)

@@ -185,6 +185,40 @@ fn a_live_source_that_dies_goes_on_with_new_numbers() {
     assert!(count > report["nodes"]["source"]["published"].as_u64().expect("published") + 500, "{report}");
 }
 
+/// What a process leaves that is killed between making a segment and giving it a size; iceoryx2 0.10 waits for such a
+/// size without an end.
+#[test]
+fn a_segment_that_nobody_will_finish_holds_nobody_up() {
+    let bench = Bench::new();
+    let text = Chain { mode: "live", samples: 1_000_000, relays: 1, ..Chain::default() }.toml(relay);
+    let text = text
+        .replace("paced = false", "live = true")
+        .replace("output = \"t0\"", "output = \"t0\"\nrestart = \"on-failure\"");
+    bench.write("g.toml", &text);
+    let run = bench.up("g.toml", &[]);
+    let name = run.wait_running()["run"].as_str().expect("run").to_owned();
+    let (supervisor, source) = (Pid::from_raw(run.child.id() as i32).expect("pid"), run.pid("source"));
+    std::thread::sleep(Duration::from_millis(300));
+    // Its connections, empty before the supervisor hears of its death and cleans up after it.
+    kill_process(supervisor, Signal::STOP).expect("stop");
+    kill_process(Pid::from_raw(source).expect("pid"), Signal::KILL).expect("kill");
+    let connections: Vec<PathBuf> =
+        shm_files(&name).into_iter().filter(|p| p.extension().is_some_and(|e| e == "connection")).collect();
+    assert!(!connections.is_empty(), "the bus names its connections otherwise");
+    for path in &connections {
+        std::fs::remove_file(path).expect("a connection");
+        std::fs::File::create(path).expect("an empty one");
+    }
+    kill_process(supervisor, Signal::CONT).expect("continue");
+    wait_for("a new source", Duration::from_secs(20), || (run.pid("source") != source).then_some(()));
+    std::thread::sleep(Duration::from_millis(500));
+    assert_eq!(bench.lacuna(&["down", &name]).status.code(), Some(0));
+    let report = report(&run.output());
+    assert_eq!(report["restarts"], 1);
+    assert!(report["nodes"]["sink"]["received"]["t1"].as_u64().is_some_and(|n| n > 0), "{report}");
+    lacuna_tests::assert_shm_clean(&name);
+}
+
 /// Runs a command as the user `nobody`; `None` with a word where that cannot be done.
 fn as_nobody(test: &str) -> Option<Command> {
     let setpriv = Path::new("/usr/bin/setpriv");

@@ -88,7 +88,7 @@ impl RunDir {
     }
 
     /// The domain's segments in shared memory.
-    fn shm_files(&self) -> Vec<PathBuf> {
+    pub(crate) fn shm_files(&self) -> Vec<PathBuf> {
         let Some(prefix) = self.path.file_name().and_then(|n| n.to_str()).map(|n| format!("{n}_")) else {
             return Vec::new();
         };

@@ -26,6 +26,7 @@ mod realtime;
 mod sink_loop;
 mod source_loop;
 mod stage_loop;
+pub mod sweep;
 pub mod usage;
 
 pub use any::AnyMessage;

@@ -11,6 +11,7 @@ use crate::runs::{self, State};
 use indicatif::{ProgressBar, ProgressStyle};
 use lacuna_interfaces::graph::{GraphFile, Mode};
 use lacuna_stage::clock::monotonic_ns;
+use lacuna_stage::sweep::Sweeper;
 use lacuna_stage::{Domain, Event, Failure, Order, RunDir};
 use node::{NodeState, describe};
 use rustix::process::Signal;
@@ -38,6 +39,8 @@ pub struct Supervisor<'a> {
     executables: &'a [PathBuf],
     run: RunDir,
     domain: Domain,
+    /// Without it what a process leaves unfinished would stop whoever waits for it.
+    _sweeper: Sweeper,
     nodes: Vec<NodeState>,
     lines: Receiver<(usize, Event)>,
     sender: Sender<(usize, Event)>,
@@ -63,6 +66,7 @@ impl<'a> Supervisor<'a> {
         show_progress: bool,
     ) -> Result<Self, Failure> {
         let run = RunDir::create(dir, graph)?;
+        let sweeper = Sweeper::start(&run);
         let domain = Domain::join(&run, "supervisor").inspect_err(|_| run.remove_domain())?;
         let interrupted = Arc::new(AtomicBool::new(false));
         for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
@@ -76,6 +80,7 @@ impl<'a> Supervisor<'a> {
             executables,
             run,
             domain,
+            _sweeper: sweeper,
             nodes: Vec::new(),
             lines,
             sender,

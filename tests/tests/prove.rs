@@ -172,7 +172,7 @@ fn the_papers_story_is_told_step_by_step() {
             .iter()
             .map(|c| c.as_str().expect("cell").parse().expect("number"))
             .collect();
-        // More inertia than the model says is most of the error, friction most of the rest.
-        assert!(sigma[1] < 0.6 * sigma[0] && sigma[2] < 0.6 * sigma[1], "{row}");
+        // Inertia and friction are about as large: either takes its part, both leave next to nothing.
+        assert!(sigma[1] < 0.8 * sigma[0] && sigma[2] < 0.1 * sigma[1], "{row}");
     }
 }

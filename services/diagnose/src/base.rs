@@ -170,7 +170,8 @@ impl Base {
     }
 
     /// Travels of the friction states [rad] that fit `target` better beside `columns`, of which `own` are the Coulomb
-    /// columns of the joints; none if no sum of squares falls by more than `least` of its joint's mean square.
+    /// columns of the joints; none if no sum of squares falls by more than `least` of its joint's mean square, and by
+    /// more than a small share of itself.
     pub(crate) fn better_widths(
         &self,
         scene: &Scene,
@@ -186,7 +187,9 @@ impl Base {
             let fit = Beside::new(&others, &target.part, &weight)?;
             let gain = |width: f64| fit.gain(j, &state(scene, j, width));
             let now = gain(self.width[j]);
-            let enough = 1.001 * now + least(j);
+            // In units of the mean square that is left: how much friction explains in all is no measure for this.
+            let rows = target.part[j].len() as f64;
+            let enough = now + least(j).max(WIDTH_SHARE * rows);
             let (gain, width) = WIDTHS.into_iter().map(|w| (gain(w), w)).max_by(|a, b| a.0.total_cmp(&b.0))?;
             (own.is_some() && gain > enough).then_some(width)
         };
@@ -340,6 +343,8 @@ fn independent(fixed: &[&Column], columns: &[Column]) -> Vec<usize> {
     keep.iter().map(|i| i - fixed.len()).collect()
 }
 
+/// Share of what is left at a joint that another travel must take off.
+const WIDTH_SHARE: f64 = 0.05;
 /// Travels that are tried [rad].
 const WIDTHS: [f64; 8] = [2e-5, 5e-5, 1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3, 3.2e-3];
 

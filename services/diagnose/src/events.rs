@@ -158,6 +158,10 @@ impl Search<'_> {
         // At the weights of the fitted model: those of the model without are blunted by the payload itself.
         let mut score = self.compare(state, &state.fit, &fitted.fit, vec![mass]);
         score.folds = 1.0;
+        let beyond_law = score.size_nm.iter().zip(self.law_nm(state)).filter(|(size, law)| **size > *law).count();
+        if self.scene.body.as_delta().is_some() && beyond_law < 2 {
+            return None;
+        }
         let switches = atom.carries.len() as f64;
         let merit = score.gain - 2.0 * SWITCH_NATS * switches - self.limits.column - self.limits.entry[whole.family];
         Some(Ranked { atoms: vec![atom], score, merit })
@@ -282,7 +286,10 @@ impl Search<'_> {
         // Where one contact is established another one, felt at a single joint, is no surprise.
         let another = model.atoms.iter().any(|a| a.family == family);
         let felt = another || self.felt_elsewhere(state, &residual, &frozen);
-        let merit = if share < CONTACT_SHARE || !felt || !self.over_law(model, state, &frozen) {
+        // The shortest pulse there is, beside a soft joint or play: a blow of the link against its own gear.
+        let driven = model.atoms.iter().any(|a| self.families[a.family].driven);
+        let own_blow = driven && frozen.shape[1] < CONTACT_S[0];
+        let merit = if own_blow || share < CONTACT_SHARE || !felt || !self.over_law(model, state, &frozen) {
             -1.0
         } else {
             score.gain - CONTACT_NATS - self.limits.entry[family]

@@ -225,6 +225,7 @@ pub(crate) fn find(
     // What is found may say that some stretches must not count; then the search is run again without them. What does
     // not hold there was found in error, and its stretches count again.
     let mut width: Option<Vec<f64>> = None;
+    let mut renewed = 0;
     for last in [false, false, false, false, true] {
         progress(0.1, "fitting the base");
         let mut base = choose_base(scene);
@@ -244,6 +245,9 @@ pub(crate) fn find(
             noise_nm,
             most: 10,
             banned: banned.clone(),
+            // Beside a term whose shape is still rough the first choice may be the wrong one.
+            renew_widths: !last && renewed < MOST_WIDTHS,
+            last,
         };
         let search = Search::new(scene, families, base.target.clone(), limits.clone());
         let selection = search.select(&base, &seeds, progress).ok_or_else(unusable)?;
@@ -256,7 +260,8 @@ pub(crate) fn find(
             scene.count_again(&whole);
             continue;
         }
-        if let Some(better) = selection.width.clone().filter(|_| !last && width.is_none()) {
+        if let Some(better) = selection.width.clone() {
+            renewed += 1;
             progress(0.1, &format!("again with friction that turns round over {better:.5?} rad"));
             width = Some(better);
             continue;
@@ -286,6 +291,9 @@ pub(crate) fn find(
     }
     Err(unusable())
 }
+
+/// How often the search begins anew with other travels of the friction states.
+const MOST_WIDTHS: usize = 2;
 
 /// Largest relative error at which a robot file's masses are taken for the base.
 const NOMINAL_ERROR: f64 = 0.3;

@@ -50,7 +50,7 @@ impl Search<'_> {
         let size = if event {
             self.event_over_floor(state, &ranked.score.size_nm)
         } else {
-            self.over_floor(state, &ranked.score.size_nm, &ranked.atoms)
+            self.over_floor(state, &state.fit, &ranked.score, &ranked.atoms)
         };
         // A delay that counts is longer than the half sample of tolerance, which has taken most of its torque already.
         let late = ranked.atoms.iter().any(|a| self.families[a.family].id() == "torque_delay");
@@ -160,7 +160,9 @@ impl Search<'_> {
             let numbers: usize = r.atoms.iter().map(|a| a.width() + a.shape.len() + times(a)).sum();
             self.limits.column * numbers as f64
         };
-        let judged = |r: &Ranked| if scarce { r.merit.max(r.score.gain - common) } else { r.merit };
+        // What comes and goes has conditions of its own, which its merit stands for.
+        let event = |r: &Ranked| r.atoms.iter().any(|a| self.families[a.family].event);
+        let judged = |r: &Ranked| if scarce && !event(r) { r.merit.max(r.score.gain - common) } else { r.merit };
         let merit = |r: &Ranked| if scarce { r.score.gain - price(r) } else { r.merit };
         let rivals = ranked.into_iter().filter(|r| near(r) && self.counts_at(state, r, judged(r)));
         let simpler = |a: &Ranked, b: &Ranked| width(a).cmp(&width(b)).then(merit(b).total_cmp(&merit(a)));

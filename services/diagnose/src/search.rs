@@ -97,6 +97,10 @@ pub struct Limits {
     pub most: usize,
     /// Families that are not tried: an earlier run found them and could not keep them.
     pub banned: Vec<usize>,
+    /// Whether the search may end early to begin anew with other travels of the friction states.
+    pub renew_widths: bool,
+    /// Whether it must go to its end, whatever it finds on the way.
+    pub last: bool,
 }
 
 /// Most rounds of holding columns at their limits.
@@ -107,6 +111,14 @@ const LAW_ERROR: f64 = 0.035;
 const LEAST_OF_REST: f64 = 0.2;
 /// The same for what comes and goes at times of its own.
 const LEAST_OF_REST_EVENT: f64 = 0.4;
+/// Share of a joint's residual power that a plain effect takes, see [`Search::over_floor`].
+const PLAIN_SHARE: f64 = 0.3;
+/// How large it must be beside the noise.
+const PLAIN_NOISE: f64 = 0.5;
+/// How large it must be beside what counts otherwise.
+const PLAIN_LEAST: f64 = 0.1;
+/// Share of the residual that it takes on every fold.
+const PLAIN_FOLD: f64 = 0.05;
 /// Least share of independent rows: a large slow misfit may blunt the evidence, but only so far.
 const LEAST_INDEPENDENT: f64 = 0.05;
 /// Share of the prior's limit at which a tolerance is taken to be one standard deviation.
@@ -366,15 +378,21 @@ impl<'a> Search<'a> {
         Score { gain, amplitude, size_nm, folds, by_fold }
     }
 
-    /// How large `size_nm` per joint of `atoms` is against what counts: noise, and the few per cent to which laws hold of
+    /// How large what `score` says of `atoms` is against what counts: noise, and the few per cent to which laws hold of
     /// what the model explains already. Friction near reversals acts in a few rows only: it is small over all of
-    /// them and still plain where it acts.
-    pub fn over_floor(&self, state: &State, size_nm: &[f64], atoms: &[Atom]) -> f64 {
+    /// them and still plain where it acts. What takes a good part of a residual on every fold is plain, however small
+    /// it is beside the torque.
+    ///
+    /// `without` is the fit that the score compares with, `state` the one whose residual is there.
+    pub fn over_floor(&self, state: &State, without: &Fit, score: &Score, atoms: &[Atom]) -> f64 {
+        let size_nm = &score.size_nm;
         let left = self.held_out_rms(state);
-        let explained = |j: usize| {
-            let base = self.base_rms_nm.get().and_then(|b| b.get(j)).copied().unwrap_or(0.0);
-            (base * base - left[j] * left[j]).max(0.0).sqrt()
+        let steady = score.by_fold.iter().all(|s| *s > PLAIN_FOLD);
+        let plain = |j: usize| {
+            let rest = without.held_out_joint(j) / self.layout.joint_count(j).max(1.0);
+            steady && size_nm[j].powi(2) > PLAIN_SHARE * rest
         };
+        let law = self.law_nm(state);
         let near_reversals = |a: &&Atom| matches!(self.families[a.family].id(), "stribeck" | "presliding");
         let local = |j: usize| {
             let columns = atoms.iter().filter(near_reversals).flat_map(|a| &a.columns);
@@ -382,8 +400,23 @@ impl<'a> Search<'a> {
         };
         // Whitened, the least is evident: what is too small to matter to anybody must not be said.
         let least = |j: usize| if self.is_whitened() { LEAST_OF_REST * left[j] } else { self.limits.floor_nm[j] };
-        let floor = |j: usize| (self.limits.floor_nm[j].max(least(j)) / local(j)).max(LAW_ERROR * explained(j));
+        let least = |j: usize| {
+            let least = self.limits.floor_nm[j].max(least(j));
+            let noise = PLAIN_NOISE * self.limits.noise_nm[j];
+            // Simulated recordings may have no noise: what rounding leaves is not plain.
+            if plain(j) { least.min(noise.max(PLAIN_LEAST * least)) } else { least }
+        };
+        let floor = |j: usize| (least(j) / local(j)).max(law[j]);
         (0..size_nm.len()).map(|j| size_nm[j] / floor(j)).fold(0.0, f64::max)
+    }
+
+    /// What the laws found so far may miss of what they explain, per joint [Nm].
+    pub fn law_nm(&self, state: &State) -> Vec<f64> {
+        let error = |(j, left): (usize, f64)| {
+            let base = self.base_rms_nm.get().and_then(|b| b.get(j)).copied().unwrap_or(0.0);
+            LAW_ERROR * (base * base - left * left).max(0.0).sqrt()
+        };
+        self.held_out_rms(state).into_iter().enumerate().map(error).collect()
     }
 
     /// How large `size_nm` per joint of something that comes and goes is against what counts.

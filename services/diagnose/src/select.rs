@@ -153,6 +153,8 @@ impl Search<'_> {
         let mut ctx = context(self.scene, base, self, &model, Some(&state));
         let mut banned: Vec<(usize, usize)> = Vec::new();
         let mut searched = 0;
+        // Whether the shapes of simulated terms were refined beside all that the model holds.
+        let mut fresh = false;
         for step in 0..self.limits.most {
             let mut pool = fixed.clone();
             pool.extend(self.build(&ctx, self.candidates(&ctx, |f| f.dynamic && !f.driven)));
@@ -198,6 +200,16 @@ impl Search<'_> {
                 excluded.sort_by(|a, b| b.merit.total_cmp(&a.merit));
                 break;
             };
+            // What a soft joint's shape leaves at one time, fitted while another effect was missing, looks like a contact.
+            let event = best.atoms.iter().any(|a| self.families[a.family].event);
+            if event && !fresh && model.atoms.len() > 1 && model.atoms.iter().any(|a| self.families[a.family].driven) {
+                fresh = true;
+                self.polish(base, &mut model, &mut state, Polish { rounds: 1, driven: true })?;
+                ctx = context(self.scene, base, self, &model, Some(&state));
+                self.tell(&model, &state, progress);
+                continue;
+            }
+            fresh = false;
             progress(0.3 + 0.4 * step as f64 / self.limits.most as f64, &format!("+ {}", self.label(&best)));
             let mut next = model.clone();
             next.atoms.extend(best.atoms.iter().cloned());
@@ -239,8 +251,8 @@ impl Search<'_> {
             ctx = context(self.scene, base, self, &model, Some(&state));
             self.tell(&model, &state, progress);
             let blank = self.blanks(&model, seeds);
-            let width = if events { self.widths(base, &model, &state) } else { None };
-            if events && !(blank.is_empty() && width.is_none()) {
+            let width = if events && self.limits.renew_widths { self.widths(base, &model, &state) } else { None };
+            if events && !self.limits.last && !(blank.is_empty() && width.is_none()) {
                 let (rivals, fallen) = (Vec::new(), Vec::new());
                 return Some(Selection { model, state, rivals, blank, width, fallen, excluded });
             }

@@ -128,7 +128,7 @@ impl Search<'_> {
                 let atom = &model.atoms[i];
                 let (rest, fit) = self.model_without(model, state, &[i])?;
                 let loss = self.compare(state, &fit, &state.fit, Vec::new());
-                let size = self.over_floor(state, &loss.size_nm, std::slice::from_ref(atom));
+                let size = self.over_floor(state, &fit, &loss, std::slice::from_ref(atom));
                 // Orders of one ripple share the doubt whether there is a ripple.
                 let alone =
                     !model.atoms.iter().enumerate().any(|(k, a)| {

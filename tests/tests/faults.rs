@@ -3,7 +3,7 @@
 
 use lacuna_benches::balance;
 use lacuna_interfaces::graph::GraphFile;
-use lacuna_tests::{Bench, Chain, bin, error_line, report, wait_for, workspace};
+use lacuna_tests::{Bench, Chain, Running, bin, error_line, report, wait_for, workspace};
 use rustix::process::{Pid, Signal, geteuid, kill_process};
 use serde_json::Value;
 use std::io::Write;
@@ -153,8 +153,8 @@ fn a_stopped_reader_holds_a_replay_back_and_nothing_is_lost() {
     assert_eq!(report(&out)["nodes"]["sink"]["received"]["t3"], 200_000);
 }
 
-#[test]
-fn a_live_source_that_dies_goes_on_with_new_numbers() {
+/// A live graph of stand-ins that runs and whose source is started again when it dies; its folder, itself and its name.
+fn live_graph() -> (Bench, Running, String) {
     let bench = Bench::new();
     let text = Chain { mode: "live", samples: 1_000_000, relays: 1, ..Chain::default() }.toml(relay);
     let text = text
@@ -163,6 +163,12 @@ fn a_live_source_that_dies_goes_on_with_new_numbers() {
     bench.write("g.toml", &text);
     let run = bench.up("g.toml", &[]);
     let name = run.wait_running()["run"].as_str().expect("run").to_owned();
+    (bench, run, name)
+}
+
+#[test]
+fn a_live_source_that_dies_goes_on_with_new_numbers() {
+    let (bench, run, name) = live_graph();
     // At once, when nothing is known of its rate, and again when something is.
     for pause_ms in [200, 1800] {
         std::thread::sleep(Duration::from_millis(pause_ms));
@@ -189,14 +195,7 @@ fn a_live_source_that_dies_goes_on_with_new_numbers() {
 /// size without an end.
 #[test]
 fn a_segment_that_nobody_will_finish_holds_nobody_up() {
-    let bench = Bench::new();
-    let text = Chain { mode: "live", samples: 1_000_000, relays: 1, ..Chain::default() }.toml(relay);
-    let text = text
-        .replace("paced = false", "live = true")
-        .replace("output = \"t0\"", "output = \"t0\"\nrestart = \"on-failure\"");
-    bench.write("g.toml", &text);
-    let run = bench.up("g.toml", &[]);
-    let name = run.wait_running()["run"].as_str().expect("run").to_owned();
+    let (bench, run, name) = live_graph();
     let (supervisor, source) = (Pid::from_raw(run.child.id() as i32).expect("pid"), run.pid("source"));
     std::thread::sleep(Duration::from_millis(300));
     // Its connections, empty before the supervisor hears of its death and cleans up after it.

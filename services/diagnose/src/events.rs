@@ -150,17 +150,18 @@ impl Search<'_> {
             atom = Some((kept, fitted));
         }
         let (atom, fitted) = atom?;
-        // What hangs on a Delta's platform hangs on all of its legs; the rest of a joint's own friction does not.
-        let acting = if atom.fixed { atom.clone() } else { held_at(&atom, vec![mass]) };
-        if self.scene.body.as_delta().is_some() && !self.felt_elsewhere(&fitted, &residual, &acting) {
-            return None;
-        }
         // At the weights of the fitted model: those of the model without are blunted by the payload itself.
         let mut score = self.compare(state, &state.fit, &fitted.fit, vec![mass]);
         score.folds = 1.0;
-        let beyond_law = score.size_nm.iter().zip(self.law_nm(state)).filter(|(size, law)| **size > *law).count();
-        if self.scene.body.as_delta().is_some() && beyond_law < 2 {
-            return None;
+        // What hangs on a Delta's platform hangs on all of its legs; the rest of a joint's own friction does not, nor does
+        // what a law found there misses.
+        if self.scene.body.as_delta().is_some() {
+            let law = self.law_nm(&self.held_out_rms(state));
+            let beyond = score.size_nm.iter().zip(law).filter(|(size, law)| *size > law).count();
+            let acting = if atom.fixed { atom.clone() } else { held_at(&atom, vec![mass]) };
+            if beyond < 2 || !self.felt_elsewhere(&fitted, &residual, &acting) {
+                return None;
+            }
         }
         let switches = atom.carries.len() as f64;
         let merit = score.gain - 2.0 * SWITCH_NATS * switches - self.limits.column - self.limits.entry[whole.family];
@@ -287,8 +288,7 @@ impl Search<'_> {
         let another = model.atoms.iter().any(|a| a.family == family);
         let felt = another || self.felt_elsewhere(state, &residual, &frozen);
         // The shortest pulse there is, beside a soft joint or play: a blow of the link against its own gear.
-        let driven = model.atoms.iter().any(|a| self.families[a.family].driven);
-        let own_blow = driven && frozen.shape[1] < CONTACT_S[0];
+        let own_blow = self.is_driven(model) && frozen.shape[1] < CONTACT_S[0];
         let merit = if own_blow || share < CONTACT_SHARE || !felt || !self.over_law(model, state, &frozen) {
             -1.0
         } else {

@@ -159,7 +159,7 @@ impl Search<'_> {
         state: &mut State,
         progress: &mut dyn FnMut(f64, &str),
     ) -> Option<()> {
-        if model.atoms.iter().any(|a| self.families[a.family].driven) {
+        if self.is_driven(model) {
             return Some(());
         }
         let rms = self.held_out_rms(state);
@@ -194,7 +194,7 @@ impl Search<'_> {
             self.prune(&mut trial, &mut rest, progress)?;
             let nats = self.better((model, state), (&trial, &rest));
             progress(0.76, &format!("{} in place of what is at joint {}: {nats:.0} nats", self.label(&best), j + 1));
-            if nats > 0.0 && trial.atoms.iter().any(|a| self.families[a.family].driven) {
+            if nats > 0.0 && self.is_driven(&trial) {
                 (*model, *state) = (trial, rest);
                 return Some(());
             }

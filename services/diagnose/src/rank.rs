@@ -46,8 +46,7 @@ impl Search<'_> {
 
     /// The same at another merit.
     fn counts_at(&self, state: &State, ranked: &Ranked, merit: f64) -> bool {
-        let event = ranked.atoms.iter().any(|a| self.families[a.family].event);
-        let size = if event {
+        let size = if self.is_event(ranked) {
             self.event_over_floor(state, &ranked.score.size_nm)
         } else {
             self.over_floor(state, &state.fit, &ranked.score, &ranked.atoms)
@@ -55,6 +54,16 @@ impl Search<'_> {
         // A delay that counts is longer than the half sample of tolerance, which has taken most of its torque already.
         let late = ranked.atoms.iter().any(|a| self.families[a.family].id() == "torque_delay");
         merit > 0.0 && (size > 1.0 || late) && ranked.score.folds > 0.5
+    }
+
+    /// Whether a candidate comes and goes at times of its own.
+    pub(crate) fn is_event(&self, ranked: &Ranked) -> bool {
+        ranked.atoms.iter().any(|a| self.families[a.family].event)
+    }
+
+    /// Whether a model holds a soft joint or play, whose torque is simulated.
+    pub(crate) fn is_driven(&self, model: &Model) -> bool {
+        model.atoms.iter().any(|a| self.families[a.family].driven)
     }
 
     /// Whether an effect takes a good part of a joint's residual, and does so on every single fold: a short
@@ -161,8 +170,8 @@ impl Search<'_> {
             self.limits.column * numbers as f64
         };
         // What comes and goes has conditions of its own, which its merit stands for.
-        let event = |r: &Ranked| r.atoms.iter().any(|a| self.families[a.family].event);
-        let judged = |r: &Ranked| if scarce && !event(r) { r.merit.max(r.score.gain - common) } else { r.merit };
+        let judged =
+            |r: &Ranked| if scarce && !self.is_event(r) { r.merit.max(r.score.gain - common) } else { r.merit };
         let merit = |r: &Ranked| if scarce { r.score.gain - price(r) } else { r.merit };
         let rivals = ranked.into_iter().filter(|r| near(r) && self.counts_at(state, r, judged(r)));
         let simpler = |a: &Ranked, b: &Ranked| width(a).cmp(&width(b)).then(merit(b).total_cmp(&merit(a)));

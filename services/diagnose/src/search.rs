@@ -392,16 +392,16 @@ impl<'a> Search<'a> {
             let rest = without.held_out_joint(j) / self.layout.joint_count(j).max(1.0);
             steady && size_nm[j].powi(2) > PLAIN_SHARE * rest
         };
-        let law = self.law_nm(state);
+        let law = self.law_nm(&left);
         let near_reversals = |a: &&Atom| matches!(self.families[a.family].id(), "stribeck" | "presliding");
         let local = |j: usize| {
             let columns = atoms.iter().filter(near_reversals).flat_map(|a| &a.columns);
             columns.map(|c| locality(&c.part[j])).fold(1.0, f64::max)
         };
         // Whitened, the least is evident: what is too small to matter to anybody must not be said.
-        let least = |j: usize| if self.is_whitened() { LEAST_OF_REST * left[j] } else { self.limits.floor_nm[j] };
+        let of_rest = if self.is_whitened() { LEAST_OF_REST } else { 0.0 };
         let least = |j: usize| {
-            let least = self.limits.floor_nm[j].max(least(j));
+            let least = self.limits.floor_nm[j].max(of_rest * left[j]);
             let noise = PLAIN_NOISE * self.limits.noise_nm[j];
             // Simulated recordings may have no noise: what rounding leaves is not plain.
             if plain(j) { least.min(noise.max(PLAIN_LEAST * least)) } else { least }
@@ -410,13 +410,13 @@ impl<'a> Search<'a> {
         (0..size_nm.len()).map(|j| size_nm[j] / floor(j)).fold(0.0, f64::max)
     }
 
-    /// What the laws found so far may miss of what they explain, per joint [Nm].
-    pub fn law_nm(&self, state: &State) -> Vec<f64> {
-        let error = |(j, left): (usize, f64)| {
+    /// What the laws that leave `left_nm` per joint, held out, may miss of what they explain [Nm].
+    pub fn law_nm(&self, left_nm: &[f64]) -> Vec<f64> {
+        let error = |(j, left): (usize, &f64)| {
             let base = self.base_rms_nm.get().and_then(|b| b.get(j)).copied().unwrap_or(0.0);
             LAW_ERROR * (base * base - left * left).max(0.0).sqrt()
         };
-        self.held_out_rms(state).into_iter().enumerate().map(error).collect()
+        left_nm.iter().enumerate().map(error).collect()
     }
 
     /// How large `size_nm` per joint of something that comes and goes is against what counts.

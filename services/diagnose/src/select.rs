@@ -163,7 +163,7 @@ impl Search<'_> {
             let settled = carries.as_ref().is_some_and(|c| self.explains(&state, c));
             let mut ranked = if settled { Vec::new() } else { self.round(&ctx, &model, &state, &pool) };
             // Soft joints are dear to simulate: only where nothing plain explains most of it.
-            let driven = model.atoms.iter().any(|a| self.families[a.family].driven);
+            let driven = self.is_driven(&model);
             let idle = !ranked.iter().any(|r| self.counts(&state, r));
             let due = step == 0 || (idle && searched < 2);
             if due && !settled && !driven && !ranked.iter().any(|r| self.explains(&state, r)) {
@@ -201,8 +201,7 @@ impl Search<'_> {
                 break;
             };
             // What a soft joint's shape leaves at one time, fitted while another effect was missing, looks like a contact.
-            let event = best.atoms.iter().any(|a| self.families[a.family].event);
-            if event && !fresh && model.atoms.len() > 1 && model.atoms.iter().any(|a| self.families[a.family].driven) {
+            if driven && !fresh && model.atoms.len() > 1 && self.is_event(&best) {
                 fresh = true;
                 self.polish(base, &mut model, &mut state, Polish { rounds: 1, driven: true })?;
                 ctx = context(self.scene, base, self, &model, Some(&state));

@@ -26,7 +26,7 @@ mod realtime;
 mod sink_loop;
 mod source_loop;
 mod stage_loop;
-pub mod sweep;
+mod sweep;
 pub mod usage;
 
 pub use any::AnyMessage;
@@ -37,3 +37,4 @@ pub use process::Failure;
 pub use sink_loop::{Resumption, Sink, SinkContext, run_sink};
 pub use source_loop::{Next, Source, SourceContext, run_source};
 pub use stage_loop::run_stage;
+pub use sweep::Sweeper;

@@ -51,7 +51,7 @@ impl Drop for Sweeper {
 ///
 /// A maker has its segment open until it is finished. One that is unfinished, is then open nowhere, and is the same and
 /// unfinished still, has no maker any more. Who waits for it opens it for moments only: another look finds it closed.
-pub fn remove_unfinished(run: &RunDir) -> Vec<PathBuf> {
+fn remove_unfinished(run: &RunDir) -> Vec<PathBuf> {
     let mut removed = Vec::new();
     for path in run.shm_files() {
         let Some(before) = unfinished(&path) else { continue };
